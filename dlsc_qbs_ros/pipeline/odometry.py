@@ -1,0 +1,1 @@
+"""Odometry sources and the pose between two samples."""
