@@ -126,9 +126,9 @@ class OdometryConfig(Section):
         50.0, 'a faster step is a jump and starts a new segment', unit='m/s',
         bounds=(0.1, 1000.0))
     translation_drift: float = parameter(
-        0.03, 'deviation of the position per metre flown', unit='m/m', bounds=(0.0, 1.0))
+        0.03, 'deviation of the distance flown, per metre', unit='m/m', bounds=(0.0, 1.0))
     yaw_bias_rad_s: float = parameter(
-        0.012, 'deviation of a constant yaw rate error', unit='rad/s', bounds=(0.0, 1.0))
+        0.012, 'deviation of a constant error of the yaw rate', unit='rad/s', bounds=(0.0, 1.0))
     yaw_noise: float = parameter(
         0.03, 'deviation of the heading after one second of random walk', unit='rad/sqrt(s)',
         bounds=(0.0, 1.0))
@@ -136,16 +136,62 @@ class OdometryConfig(Section):
 
 @dataclass(frozen=True)
 class RatSlamConfig(Section):
-    """Matching views: when is a place an old one."""
+    """When a place is an old one, and what follows from it."""
 
     name = 'ratslam'
 
     sample_period_s: float = parameter(
         0.1, 'time between the codes that are used', unit='s', bounds=(0.001, 60.0))
     max_wait_s: float = parameter(
-        0.2, 'longest wait for a late code or late odometry', unit='s', bounds=(0.0, 60.0))
+        0.2, 'longest wait for a late code, view, dictionary or odometry', unit='s',
+        bounds=(0.0, 60.0))
     map_frame: str = parameter('map', 'frame_id of the map')
     publish_tf: bool = parameter(True, 'publish map to odom on /tf')
+    keyframe_distance_m: float = parameter(
+        0.25, 'distance after which a view is compared or stored', unit='m', bounds=(0.001, 1e3))
+    keyframe_angle_rad: float = parameter(
+        0.2, 'turn after which a view is compared or stored', unit='rad', bounds=(0.001, 6.3))
+    threshold: float = parameter(
+        0.8, 'similarity mu from which a run of views is an old place', bounds=(-1.0, 1.0))
+    tracking_threshold: float = parameter(
+        0.7, 'the same while the old place is where odometry expects it', bounds=(-1.0, 1.0))
+    tracking_distance_m: float = parameter(
+        1.0, 'largest correction that counts as tracking', unit='m', bounds=(0.0, 1e3))
+    sequence_length: int = parameter(
+        8, 'views in a row that are compared as one', unit='views', bounds=(1, 200))
+    min_age_s: float = parameter(
+        10.0, 'age of an experience before it can be met again', unit='s', bounds=(0.0, 1e5))
+    min_path_m: float = parameter(
+        3.0, 'path flown before an experience can be met again', unit='m', bounds=(0.0, 1e5))
+    gate_sigmas: float = parameter(
+        3.0, 'deviations of the odometry within which an old place must lie', bounds=(0.1, 100.0))
+    match_position_sigma_m: float = parameter(
+        0.3, 'deviation of the position at which a view is met again', unit='m',
+        bounds=(0.001, 100.0))
+    match_yaw_sigma_rad: float = parameter(
+        0.1, 'deviation of the heading at which a view is met again', unit='rad',
+        bounds=(0.001, 6.3))
+    relaxation_steps: int = parameter(
+        100, 'steps of the relaxation per experience event', bounds=(0, 10000))
+
+
+@dataclass(frozen=True)
+class PoseCellsConfig(Section):
+    """The continuous attractor network."""
+
+    name = 'pose_cells'
+
+    size_xy: int = parameter(21, 'cells along x and y', bounds=(8, 200))
+    cell_size_m: float = parameter(1.0, 'edge of a cell', unit='m', bounds=(0.001, 1e3))
+    injection: float = parameter(
+        0.6, 'activity that a fresh view injects', bounds=(0.0, 100.0))
+    active_decay: float = parameter(
+        1.0, 'what a view loses of its power at each match', bounds=(0.0, 100.0))
+    restore: float = parameter(
+        0.05, 'what a view regains of its power per step', bounds=(0.0, 100.0))
+    link_distance: float = parameter(
+        2.0, 'distance in cells below which two experiences are one', unit='cells',
+        bounds=(0.1, 100.0))
 
 
 @dataclass(frozen=True)
@@ -168,6 +214,7 @@ class Config:
     encoder: EncoderConfig = EncoderConfig()
     odometry: OdometryConfig = OdometryConfig()
     ratslam: RatSlamConfig = RatSlamConfig()
+    pose_cells: PoseCellsConfig = PoseCellsConfig()
     recorder: RecorderConfig = RecorderConfig()
 
     def override(self, values: Mapping[str, Any]) -> Config:

@@ -45,6 +45,20 @@ class OdometrySample:
 
 
 @dataclass(frozen=True)
+class RawOdometry:
+    """
+    An odometry message as it came: its pose, and its twist in the body frame (FLU).
+
+    The twist is NaN where the source gave none.
+    """
+
+    sample: OdometrySample
+    forward_m_s: float
+    left_m_s: float
+    yaw_rate_rad_s: float
+
+
+@dataclass(frozen=True)
 class GroundTruthSample:
     """The true planar pose at one stamp."""
 

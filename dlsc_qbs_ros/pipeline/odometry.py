@@ -1,1 +1,123 @@
 """Odometry sources and the pose between two samples."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from dataclasses import replace
+from math import hypot
+from typing import Callable, Protocol
+
+from ..config import OdometryConfig
+from ..core.geometry import compose, interpolate
+from ..core.types import IDENTITY, OdometrySample, Pose2, RawOdometry
+
+
+class OdometrySource(Protocol):
+    """Where odometry comes from: a topic, an autopilot's link, a log."""
+
+    def start(self, deliver: Callable[[OdometrySample], None]) -> None:
+        """Begin to deliver samples, in stamp order, until stopped."""
+
+    def stop(self) -> None:
+        """Stop delivering; no sample comes after this returns."""
+
+    def diagnostics(self) -> dict[str, int]:
+        """Return the counts of what was accepted and refused, by cause."""
+
+
+class OdometryNormaliser:
+    """
+    Puts raw odometry in order: stamps rise, poses are continuous within a segment.
+
+    A sample that is not after its predecessor is refused and counted; a fall back of the clock
+    by more than `CLOCK_JUMP_S`, a silence or an impossible step starts a new segment.
+    """
+
+    CLOCK_JUMP_S = 1.0
+
+    def __init__(self, config: OdometryConfig):
+        self._config = config
+        self._last: RawOdometry | None = None
+        self._integrated = IDENTITY
+        self._segment = 0
+        self.counts: Counter[str] = Counter()
+
+    def accept(self, raw: RawOdometry) -> OdometrySample | None:
+        """Return the normalised sample, or None when it is refused."""
+        if self._last is not None:
+            step_s = (raw.sample.stamp_ns - self._last.sample.stamp_ns) * 1e-9
+            if -self.CLOCK_JUMP_S <= step_s <= 0.0:
+                self.counts['odometry_out_of_order'] += 1
+                return None
+            cause = self._discontinuity(raw, step_s)
+            if cause:
+                self.counts[cause] += 1
+                self._segment += 1
+            elif self._config.use_twist:
+                self._integrated = compose(self._integrated, _motion(self._last, raw, step_s))
+        self._last = raw
+        self.counts['odometry_accepted'] += 1
+        pose = self._integrated if self._config.use_twist else raw.sample.pose
+        return replace(raw.sample, pose=pose, segment=self._segment)
+
+    def _discontinuity(self, raw: RawOdometry, step_s: float) -> str | None:
+        if step_s <= 0.0:
+            return 'odometry_clock_jumps'
+        if step_s > self._config.max_gap_s:
+            return 'odometry_gaps'
+        if raw.sample.segment != self._last.sample.segment:
+            return 'odometry_resets'
+        a, b = self._last.sample.pose, raw.sample.pose
+        allowed_m = self._config.max_speed_m_s * step_s
+        if not self._config.use_twist and hypot(b.x_m - a.x_m, b.y_m - a.y_m) > allowed_m:
+            return 'odometry_jumps'
+        return None
+
+
+def _motion(a: RawOdometry, b: RawOdometry, step_s: float) -> Pose2:
+    """Return the motion from a to b by the mean of their twists, at half the turn."""
+    turn = 0.5 * (a.yaw_rate_rad_s + b.yaw_rate_rad_s) * step_s
+    half_turn = Pose2(0.0, 0.0, 0.5 * turn)
+    straight = Pose2(0.5 * (a.forward_m_s + b.forward_m_s) * step_s,
+                     0.5 * (a.left_m_s + b.left_m_s) * step_s, 0.0)
+    return compose(compose(half_turn, straight), half_turn)
+
+
+class OdometryHistory:
+    """The last samples, to find the pose at a stamp between two of them."""
+
+    KEPT_NS = 30_000_000_000
+
+    def __init__(self):
+        self._samples: list[OdometrySample] = []
+
+    def add(self, sample: OdometrySample) -> None:
+        """Append a sample; a stamp that falls back ends the history before it."""
+        if self._samples and sample.stamp_ns <= self._samples[-1].stamp_ns:
+            self._samples.clear()
+        self._samples.append(sample)
+        if len(self._samples) % 256 == 0:
+            del self._samples[:bisect_right(
+                self._samples, sample.stamp_ns - self.KEPT_NS, key=lambda s: s.stamp_ns)]
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest sample."""
+        return self._samples[-1].stamp_ns if self._samples else None
+
+    def at(self, stamp_ns: int) -> OdometrySample | None:
+        """Return the sample at a stamp, interpolated within a segment, None outside."""
+        after = bisect_left(self._samples, stamp_ns, key=lambda s: s.stamp_ns)
+        if after == len(self._samples):
+            return None
+        b = self._samples[after]
+        if b.stamp_ns == stamp_ns:
+            return b
+        if after == 0:
+            return None
+        a = self._samples[after - 1]
+        if a.segment != b.segment:
+            return replace(a, stamp_ns=stamp_ns)
+        fraction = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
+        return replace(a, stamp_ns=stamp_ns, pose=interpolate(a.pose, b.pose, fraction))

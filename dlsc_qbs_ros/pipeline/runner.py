@@ -1,10 +1,28 @@
-"""A recorded flight through encoder and ratslam, in stamp order, without ROS."""
+"""A recorded flight through encoder and ratslam, in recorded order, without ROS."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
+import time
+from typing import Any, Iterable, Iterator
 
 import numpy as np
+
+from .encoder import Encoder
+from .odometry import OdometryNormaliser
+from .ratslam import RatSlam
+from ..config import Config
+from ..core.geometry import compose
+from ..core.types import Code, Dictionary, Frame, OdometrySample, RawOdometry, View
+
+# What an encoder of the table means in parameters.
+ENCODERS: dict[str, dict[str, Any]] = {
+    'dlsc_qbs': {},
+    'dlsc_qbs_paper': {'encoder.mode': 'paper'},
+    'dlsc': {'encoder.gate': False},
+    'odometry': {'ratslam.threshold': 1.0, 'ratslam.tracking_threshold': 1.0},
+}
 
 
 @dataclass(frozen=True)
@@ -28,7 +46,7 @@ class RunResult:
     closures : ndarray of shape (c, 2), int64
         Indices of the experiences joined by loop closures.
     counts : dict
-        view_cells, experiences, closures, learning_frames, epochs, frames (all ints).
+        frames, view_cells, experiences, closures, learning_frames, epochs and what was refused.
     seconds : float
         Wall time of the run.
 
@@ -43,3 +61,82 @@ class RunResult:
     closures: np.ndarray
     counts: dict[str, int]
     seconds: float
+
+
+@dataclass(frozen=True)
+class EncodedFlight:
+    """A flight after the encoder: what reaches ratslam, in order."""
+
+    events: list[OdometrySample | Dictionary | View | Code]
+    counts: dict[str, int]
+    seconds: float
+
+
+def run(events: Iterable[Frame | RawOdometry], config: Config) -> RunResult:
+    """Take a flight through encoder and ratslam."""
+    return map_codes(encode(events, config), config)
+
+
+def encode(events: Iterable[Frame | RawOdometry], config: Config) -> EncodedFlight:
+    """Take a flight through the encoder, once for any number of `map_codes`."""
+    started = time.perf_counter()
+    counts = {'frames': 0, 'learning_frames': 0, 'epochs': 0}
+    encoded = list(_encode(events, config, counts))
+    return EncodedFlight(encoded, counts, time.perf_counter() - started)
+
+
+def _encode(events: Iterable[Frame | RawOdometry], config: Config, counts: dict[str, int]
+            ) -> Iterator[OdometrySample | Dictionary | View | Code]:
+    encoder = Encoder(config)
+    normaliser = OdometryNormaliser(config.odometry)
+    for event in events:
+        if isinstance(event, RawOdometry):
+            sample = normaliser.accept(event)
+            if sample is not None:
+                yield sample
+            continue
+        result = encoder.process(event)
+        counts['frames'] += 1
+        counts['learning_frames'] += result.learned
+        if result.dictionary is not None:
+            counts['epochs'] += 1
+            yield result.dictionary
+        yield result.view
+        yield result.code
+    counts.update(normaliser.counts)
+
+
+def map_codes(flight: EncodedFlight, config: Config) -> RunResult:
+    """Take an encoded flight through ratslam."""
+    started = time.perf_counter()
+    track: list[tuple] = []
+    ratslam = RatSlam(config, on_update=lambda mapper: track.append(
+        (mapper.odometry, mapper.pose(), mapper.place)))
+    add = {OdometrySample: ratslam.add_odometry, Dictionary: ratslam.add_dictionary,
+           View: ratslam.add_view, Code: ratslam.add_code}
+    for event in flight.events:
+        add[type(event)](event)
+        ratslam.advance(0.0)
+    ratslam.advance(inf)
+    return _result(ratslam, track, flight, time.perf_counter() - started)
+
+
+def _result(ratslam: RatSlam, track: list[tuple], flight: EncodedFlight, seconds: float
+            ) -> RunResult:
+    mapper = ratslam.mapper
+    closures = mapper.map.links[mapper.map.is_closure]
+    counts = {**ratslam.counts, **flight.counts,
+              'view_cells': len(mapper.view_cells) if mapper.view_cells else 0,
+              'experiences': len(mapper.map), 'closures': len(closures)}
+    return RunResult(
+        stamps_ns=np.array([odometry.stamp_ns for odometry, _, _ in track], np.int64),
+        poses=_poses(pose for _, pose, _ in track),
+        final_poses=_poses(compose(mapper.map.pose(place.experience), place.offset)
+                           for _, _, place in track),
+        odometry=_poses(odometry.pose for odometry, _, _ in track),
+        experiences=mapper.map.poses.copy(), links=mapper.map.links.copy(),
+        closures=closures, counts=counts, seconds=flight.seconds + seconds)
+
+
+def _poses(poses: Iterable) -> np.ndarray:
+    return np.array(list(poses), float).reshape(-1, 3)

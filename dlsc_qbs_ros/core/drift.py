@@ -1,0 +1,46 @@
+"""How far odometry may have drifted since the map last confirmed it."""
+
+from __future__ import annotations
+
+from math import hypot, sqrt
+
+from .types import Pose2
+from ..config import OdometryConfig
+
+
+class Drift:
+    """
+    Deviations of position and heading, since the last anchor.
+
+    Over t seconds and L metres since then, a yaw rate error of deviation b and a random walk of
+    n rad/sqrt(s) give the heading the variance (b t)^2 + n^2 t; the position errs by a share of
+    L and by half the heading's error over the path, which cannot throw it farther than across
+    the map. Both add to what was left at the anchor.
+    """
+
+    def __init__(self, config: OdometryConfig):
+        self._config = config
+        self.anchor(0.0, 0.0)
+
+    def anchor(self, position_sigma_m: float, yaw_sigma_rad: float) -> None:
+        """Start again from a pose known this well."""
+        self._anchor_sigma = position_sigma_m, yaw_sigma_rad
+        self._path_m = self._time_s = 0.0
+
+    def move(self, motion: Pose2, seconds: float) -> None:
+        """Account for one motion of the odometry."""
+        self._path_m += hypot(motion.x_m, motion.y_m)
+        self._time_s += seconds
+
+    def yaw_sigma_rad(self) -> float:
+        """Return the deviation of the heading."""
+        bias = self._config.yaw_bias_rad_s * self._time_s
+        return sqrt(self._anchor_sigma[1] ** 2 + bias ** 2
+                    + self._config.yaw_noise ** 2 * self._time_s)
+
+    def position_sigma_m(self, map_radius_m: float) -> float:
+        """Return the deviation of the position, in a map of this radius."""
+        lever = min(self._path_m, map_radius_m)
+        return sqrt(self._anchor_sigma[0] ** 2
+                    + (self._config.translation_drift * self._path_m) ** 2
+                    + (0.5 * lever * self.yaw_sigma_rad()) ** 2)

@@ -1,0 +1,227 @@
+"""RatSLAM's three parts in their order: view cells, pose cells, experience map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, inf, sqrt
+
+import numpy as np
+
+from ..config import Config
+from ..core.drift import Drift
+from ..core.experience_map import ExperienceMap, Rows
+from ..core.geometry import between, compose, invert, wrap_angle
+from ..core.local_view import SequenceScore, ViewCells
+from ..core.pose_cells import PoseCells
+from ..core.types import IDENTITY, OdometrySample, Pose2
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the robot stands: its pose in the frame of an experience."""
+
+    experience: int
+    offset: Pose2
+
+
+class Mapper:
+    """
+    Builds the map from codes and the odometry at their stamps.
+
+    Views are compared at keyframes, that is after some motion; a hovering drone adds nothing.
+    A run of views that is similar enough to a run of old view cells, at a place that the
+    odometry allows, activates the old cell; its injections move the pose cells' packet; and
+    when the packet has arrived there, the experience is linked to the old one.
+    """
+
+    def __init__(self, config: Config):
+        self._config = config.ratslam
+        self._pose_cell_config = config.pose_cells
+        self.view_cells: ViewCells | None = None
+        self.pose_cells = PoseCells(config.pose_cells)
+        self.map = ExperienceMap()
+        self._drift = Drift(config.odometry)
+        self._sequence = SequenceScore(config.ratslam.sequence_length)
+        # Per view cell: where the pose cells stood, and how spent it is.
+        self._cell_position = Rows(np.zeros((0, 3)))
+        self._cell_decay = Rows(np.zeros(0))
+        # Per experience: its view cell, pose cell position, stamp and path at creation.
+        self._view_cell = Rows(np.zeros(0, np.int64))
+        self._position = Rows(np.zeros((0, 3)))
+        self._born_s = Rows(np.zeros(0))
+        self._born_m = Rows(np.zeros(0))
+        self._path_m = 0.0
+        self.place: Place | None = None
+        # Whether odometry leads from the current experience to here.
+        self._is_joined = False
+        self.odometry: OdometrySample | None = None
+        self._keyframe: OdometrySample | None = None
+        self._active_cell: int | None = None
+
+    def update(self, odometry: OdometrySample, code: np.ndarray) -> bool:
+        """
+        Take in a code and the odometry at its stamp; return whether a view cell was made.
+
+        Parameters
+        ----------
+        odometry : OdometrySample
+        code : ndarray of shape (n_values,)
+
+        """
+        if self.view_cells is None:
+            self.view_cells = ViewCells(len(code))
+        motion = self._advance(odometry)
+        n_cells = len(self.view_cells)
+        is_keyframe = self._is_keyframe(odometry)
+        if is_keyframe:
+            self._keyframe = odometry
+            self._view_event(odometry, code)
+        self.pose_cells.step(motion)
+        np.maximum(self._cell_decay.values - self._pose_cell_config.restore,
+                   self._pose_cell_config.active_decay, out=self._cell_decay.values)
+        if is_keyframe:
+            self._act(odometry)
+        return len(self.view_cells) > n_cells
+
+    def replace_codes(self, codes: np.ndarray) -> None:
+        """Put the view cells' codes (n_cells, n_values) under another dictionary in force."""
+        if self.view_cells is not None:
+            self.view_cells.replace(codes)
+
+    def pose(self) -> Pose2:
+        """Return map_T_base at the last update."""
+        return compose(self.map.pose(self.place.experience), self.place.offset)
+
+    def map_T_odom(self) -> Pose2:
+        """Return the correction of the odometry as the map stands."""
+        return compose(self.pose(), invert(self.odometry.pose))
+
+    def sigmas(self) -> tuple[float, float]:
+        """Return the deviations of position in metres and heading in radians."""
+        return (self._drift.position_sigma_m(self._map_radius_m()), self._drift.yaw_sigma_rad())
+
+    def _advance(self, odometry: OdometrySample) -> Pose2:
+        """Carry the place along with the odometry; return the motion since the last code."""
+        motion, seconds = IDENTITY, 0.0
+        if self.odometry is not None:
+            if odometry.segment == self.odometry.segment:
+                motion = between(self.odometry.pose, odometry.pose)
+                seconds = (odometry.stamp_ns - self.odometry.stamp_ns) * 1e-9
+            else:
+                self._drift.anchor(inf, inf)
+                self._is_joined = False
+        self.odometry = odometry
+        self._drift.move(motion, seconds)
+        self._path_m += hypot(motion.x_m, motion.y_m)
+        if self.place is not None:
+            self.place = Place(self.place.experience, compose(self.place.offset, motion))
+        return motion
+
+    def _is_keyframe(self, odometry: OdometrySample) -> bool:
+        if self._keyframe is None or self._keyframe.segment != odometry.segment:
+            self._sequence.clear()
+            return True
+        motion = between(self._keyframe.pose, odometry.pose)
+        climb = odometry.z_m - self._keyframe.z_m
+        return (sqrt(motion.x_m ** 2 + motion.y_m ** 2 + climb ** 2)
+                >= self._config.keyframe_distance_m
+                or abs(motion.yaw_rad) >= self._config.keyframe_angle_rad)
+
+    def _view_event(self, odometry: OdometrySample, code: np.ndarray) -> None:
+        """Match the code to an old view cell and inject, or make a new one."""
+        matched = self._match(odometry, self.view_cells.similarities(code))
+        if matched is None:
+            self._active_cell = self.view_cells.add(code)
+            self._cell_position.append(self.pose_cells.position())
+            self._cell_decay.append(self._pose_cell_config.active_decay)
+            return
+        self._active_cell = matched
+        decay = self._cell_decay.values[matched]
+        energy = self._pose_cell_config.injection * (30.0 - np.exp(1.2 * decay)) / 30.0
+        self._cell_decay.values[matched] += self._pose_cell_config.active_decay
+        if energy > 0.0:
+            self.pose_cells.inject(self._cell_position.values[matched], energy)
+
+    def _match(self, odometry: OdometrySample, similarities: np.ndarray) -> int | None:
+        """Return the view cell that the last run of views ends in, if odometry allows one."""
+        score = self._sequence.update(similarities)
+        if score is None:
+            return None
+        distance_m = self._gated_distance(odometry)
+        needed = np.where(distance_m <= self._config.tracking_distance_m,
+                          self._config.tracking_threshold, self._config.threshold)
+        candidates = np.flatnonzero(np.isfinite(distance_m) & (score >= needed))
+        return int(candidates[np.argmax(score[candidates])]) if len(candidates) else None
+
+    def _gated_distance(self, odometry: OdometrySample) -> np.ndarray:
+        """
+        Return each view cell's distance from the estimated position, shape (n_cells,).
+
+        Infinite where no old enough experience of the cell lies within the drift of the
+        odometry since the last closure.
+        """
+        here = self.pose()
+        offset_m = np.hypot(self.map.poses[:, 0] - here.x_m, self.map.poses[:, 1] - here.y_m)
+        turn_rad = np.abs(wrap_angle(self.map.poses[:, 2] - here.yaw_rad))
+        sigma_m, sigma_rad = self.sigmas()
+        reach = self._config.gate_sigmas
+        allowed = (
+            (offset_m <= reach * hypot(sigma_m, self._config.match_position_sigma_m))
+            & (turn_rad <= reach * hypot(sigma_rad, self._config.match_yaw_sigma_rad))
+            & (odometry.stamp_ns * 1e-9 - self._born_s.values >= self._config.min_age_s)
+            & (self._path_m - self._born_m.values >= self._config.min_path_m))
+        distance_m = np.full(len(self.view_cells), np.inf)
+        np.minimum.at(distance_m, self._view_cell.values[allowed], offset_m[allowed])
+        return distance_m
+
+    def _act(self, odometry: OdometrySample) -> None:
+        """Create or meet an experience for the active view cell, then relax the map."""
+        position = self.pose_cells.position()
+        old = np.flatnonzero(self._view_cell.values == self._active_cell)
+        distance = self.pose_cells.distance(self._position.values[old], position)
+        if len(old) and distance.min() < self._pose_cell_config.link_distance:
+            self._meet(int(old[np.argmin(distance)]))
+        else:
+            self._create(odometry, position)
+        self.map.relax(self._config.relaxation_steps)
+
+    def _create(self, odometry: OdometrySample, position: np.ndarray) -> None:
+        pose = odometry.pose if self.place is None else self.pose()
+        experience = self.map.add_experience(pose)
+        self._view_cell.append(self._active_cell)
+        self._position.append(position)
+        self._born_s.append(odometry.stamp_ns * 1e-9)
+        self._born_m.append(self._path_m)
+        if self._is_joined:
+            self.map.add_link(self.place.experience, experience, self.place.offset, False)
+        self.place = Place(experience, IDENTITY)
+        self._is_joined = True
+
+    def _meet(self, experience: int) -> None:
+        """
+        Arrive at an old experience.
+
+        Where the robot stands relative to it is judged by odometry and by the view, which says
+        "here, heading the same way", each weighed by its variance.
+        """
+        sigma_m, sigma_rad = self.sigmas()
+        expected = between(self.map.pose(experience), self.pose())
+        trust_m = _share(self._config.match_position_sigma_m, sigma_m)
+        trust_rad = _share(self._config.match_yaw_sigma_rad, sigma_rad)
+        offset = Pose2(trust_m * expected.x_m, trust_m * expected.y_m,
+                       trust_rad * expected.yaw_rad)
+        if experience != self.place.experience:
+            motion = compose(self.place.offset, invert(offset))
+            self.map.add_link(self.place.experience, experience, motion, True)
+        self.place = Place(experience, offset)
+        self._drift.anchor(self._config.match_position_sigma_m * sqrt(1.0 - trust_m),
+                           self._config.match_yaw_sigma_rad * sqrt(1.0 - trust_rad))
+
+    def _map_radius_m(self) -> float:
+        extent = np.ptp(self.map.poses[:, :2], axis=0) if len(self.map) else np.zeros(2)
+        return 0.5 * float(np.hypot(*extent))
+
+
+def _share(match_sigma: float, odometry_sigma: float) -> float:
+    """Return the weight of the odometry beside a match."""
+    return match_sigma ** 2 / (match_sigma ** 2 + odometry_sigma ** 2)

@@ -1,0 +1,194 @@
+"""Codes and odometry in, poses out: everything in stamp order, whatever order it came in."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from concurrent.futures import Executor, Future
+from typing import Callable
+
+import numpy as np
+
+from .code_book import CodeBook
+from .mapper import Mapper
+from .odometry import OdometryHistory
+from ..config import Config
+from ..core.geometry import compose
+from ..core.types import IDENTITY, Code, Dictionary, OdometrySample, PoseEstimate, View
+
+
+class RatSlam:
+    """
+    Feeds the mapper in stamp order and gives a pose for every odometry sample.
+
+    A code is used once its view, odometry at or after its stamp and its dictionary are there,
+    with all view cells re-encoded. One code per `sample_period_s` is used, so a sample before
+    the next one is due has its pose at once, and a later sample waits for that code. Whatever
+    waited longer than `max_wait_s` is given up and counted. The map is a function of the codes
+    used and the odometry, not of when they came.
+
+    Times of arrival are seconds of any steady clock.
+    """
+
+    # A camera's frames jitter: a code may come up to a quarter of a period early.
+    EARLY_SHARE = 0.25
+    CLOCK_JUMP_NS = 1_000_000_000
+    CHECK_EVERY = 50
+    CHECK_TOLERANCE = 1e-3
+
+    def __init__(self, config: Config, executor: Executor | None = None,
+                 on_update: Callable[[Mapper], None] = lambda mapper: None):
+        self._period_ns = int(config.ratslam.sample_period_s * (1 - self.EARLY_SHARE) * 1e9)
+        self._max_wait_s = config.ratslam.max_wait_s
+        self._dictionary_shape = (config.encoder.n_atoms, config.view.width * config.view.height)
+        self._book = CodeBook(config, executor or InlineExecutor())
+        self._history = OdometryHistory()
+        self._codes: deque[tuple[Code, float]] = deque()
+        self._samples: deque[tuple[OdometrySample, float]] = deque()
+        self._views: dict[int, np.ndarray] = {}
+        self._newest_code_ns: int | None = None
+        self._used_ns: int | None = None
+        self._codes_flow = False
+        self._map_T_odom = IDENTITY
+        self._sigmas = (0.0, 0.0)
+        self._on_update = on_update
+        self.mapper = Mapper(config)
+        self.counts: Counter[str] = Counter()
+
+    def add_odometry(self, sample: OdometrySample, now_s: float = 0.0) -> None:
+        """Take in the next odometry sample; one whose stamp falls back starts a new timeline."""
+        newest_ns = self._history.newest_ns
+        if newest_ns is not None and sample.stamp_ns <= newest_ns:
+            self._restart_timeline()
+            self._samples.clear()
+        self._history.add(sample)
+        self._samples.append((sample, now_s))
+
+    def add_dictionary(self, dictionary: Dictionary) -> None:
+        """Take in the dictionary of a new epoch; one of another shape is refused."""
+        if dictionary.atoms.shape != self._dictionary_shape:
+            self.counts['dictionaries_of_another_shape'] += 1
+            return
+        self.counts['dictionaries'] += 1
+        self._book.add_dictionary(dictionary)
+
+    def add_view(self, view: View) -> None:
+        """Take in the view of a code."""
+        self._views[view.stamp_ns] = view.pixels
+
+    def add_code(self, code: Code, now_s: float = 0.0) -> None:
+        """Take in the next code; one of another length or not after the last is refused."""
+        if len(code.values) != self._dictionary_shape[0]:
+            self.counts['codes_of_another_length'] += 1
+            return
+        if self._newest_code_ns is not None and code.stamp_ns <= self._newest_code_ns:
+            if self._newest_code_ns - code.stamp_ns <= self.CLOCK_JUMP_NS:
+                self.counts['codes_out_of_order'] += 1
+                return
+            self._restart_timeline()
+        self.counts['codes_received'] += 1
+        self._newest_code_ns = code.stamp_ns
+        self._codes_flow = True
+        self._codes.append((code, now_s))
+
+    def _restart_timeline(self) -> None:
+        """Forget the queue of a clock that has jumped back; the map stays."""
+        self.counts['clock_jumps'] += 1
+        self._codes.clear()
+        self._newest_code_ns = self._used_ns = None
+
+    def advance(self, now_s: float) -> list[PoseEstimate]:
+        """Process all that is ready, or waited too long, and return the poses in stamp order."""
+        poses: list[PoseEstimate] = []
+        while self._advance_code(now_s) or self._advance_sample(now_s, poses):
+            pass
+        return poses
+
+    def _advance_code(self, now_s: float) -> bool:
+        """Use or give up the oldest code, when that is due; return whether it was."""
+        if not self._codes:
+            return False
+        code, arrived_s = self._codes[0]
+        if self._samples and self._samples[0][0].stamp_ns < code.stamp_ns:
+            return False
+        if self._used_ns is None or code.stamp_ns >= self._used_ns + self._period_ns:
+            missing = self._missing(code)
+            if missing and (now_s - arrived_s <= self._max_wait_s or missing == 'reencoding'):
+                return False
+            if missing:
+                self.counts[f'codes_without_{missing}'] += 1
+            else:
+                self._use(code)
+        self._codes.popleft()
+        for stamp_ns in [s for s in self._views if s <= code.stamp_ns]:
+            del self._views[stamp_ns]
+        return True
+
+    def _missing(self, code: Code) -> str | None:
+        """Return what the code still waits for."""
+        if self._history.newest_ns is None or self._history.newest_ns < code.stamp_ns:
+            return 'odometry'
+        if code.stamp_ns not in self._views:
+            return 'view'
+        if code.dictionary_ns is None or self._book.is_current(code.dictionary_ns):
+            return None
+        return self._book.missing(code.dictionary_ns)
+
+    def _use(self, code: Code) -> None:
+        odometry = self._history.at(code.stamp_ns)
+        if odometry is None:
+            self.counts['codes_before_odometry'] += 1
+            return
+        if code.dictionary_ns is not None and not self._book.is_current(code.dictionary_ns):
+            codes = self._book.swap(code.dictionary_ns)
+            self.mapper.replace_codes(codes)
+            self.counts['epochs'] += 1
+        view = self._views[code.stamp_ns]
+        if code.dictionary_ns is not None and self.counts['codes_used'] % self.CHECK_EVERY == 0:
+            self._check(code, view)
+        if self.mapper.update(odometry, code.values):
+            self._book.add_view(view)
+        self.counts['codes_used'] += 1
+        self._used_ns = code.stamp_ns
+        self._map_T_odom = self.mapper.map_T_odom()
+        self._sigmas = self.mapper.sigmas()
+        self._on_update(self.mapper)
+
+    def _check(self, code: Code, view: np.ndarray) -> None:
+        """Notice an encoder that is configured otherwise: its code would not come from here."""
+        error = np.abs(self._book.reencode(view) - code.values).max()
+        if error > self.CHECK_TOLERANCE * np.abs(code.values).max():
+            self.counts['code_mismatches'] += 1
+
+    def _advance_sample(self, now_s: float, poses: list[PoseEstimate]) -> bool:
+        """Give the oldest odometry sample its pose, when that is due; return whether it was."""
+        if not self._samples:
+            return False
+        sample, arrived_s = self._samples[0]
+        if self._awaits_code(sample):
+            if now_s - arrived_s <= self._max_wait_s:
+                return False
+            self.counts['poses_ahead_of_codes'] += 1
+            self._codes_flow = bool(self._codes)
+        self._samples.popleft()
+        poses.append(PoseEstimate(
+            sample.stamp_ns, compose(self._map_T_odom, sample.pose), sample, self._map_T_odom,
+            *self._sigmas))
+        return True
+
+    def _awaits_code(self, sample: OdometrySample) -> bool:
+        """Whether a code at or before this sample is there or may yet come and be used."""
+        if self._codes:
+            return self._codes[0][0].stamp_ns <= sample.stamp_ns
+        if self._used_ns is None or not self._codes_flow:
+            return False
+        return sample.stamp_ns >= self._used_ns + self._period_ns
+
+
+class InlineExecutor(Executor):
+    """Runs what is submitted at once, in the caller's thread."""
+
+    def submit(self, task, /, *args):
+        """Run a task and return its future, done."""
+        future: Future = Future()
+        future.set_result(task(*args))
+        return future
