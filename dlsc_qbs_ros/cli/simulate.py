@@ -1,0 +1,95 @@
+"""Make a warehouse flight: camera, drifting odometry and ground truth as a rosbag2 recording."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import sys
+from typing import Callable, Sequence
+
+from tqdm import tqdm
+
+from ..core.types import GroundTruthSample, RawOdometry
+from ..errors import ConfigError, DlscQbsError, RecordingError
+from ..io.bag import BagWriter
+from ..sim.encodings import ENCODINGS
+from ..sim.simulation import Picture, simulate_flight, SimulatedFlight
+
+TOPICS = {
+    Picture: ('/camera/image_raw', 'sensor_msgs/msg/Image'),
+    RawOdometry: ('/odom', 'nav_msgs/msg/Odometry'),
+    GroundTruthSample: ('/ground_truth', 'geometry_msgs/msg/PoseStamped'),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Simulate a flight; print expected errors as one line and return the exit code."""
+    args = _parser().parse_args(argv)
+    try:
+        _simulate(args)
+    except DlscQbsError as error:
+        print('simulate:', ' '.join(str(error).split()), file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog='simulate', description=__doc__)
+    parser.add_argument('--flight', metavar='{1,2,3}', type=int, required=True,
+                        help='1 between wall and shelves, 2 between shelves only, 3 both')
+    parser.add_argument('--seed', metavar='S', type=int, default=0,
+                        help='of warehouse, flight and sensors (default: %(default)s)')
+    parser.add_argument('--out', metavar='DIR', type=Path, required=True,
+                        help='the recording to make')
+    parser.add_argument('--seconds', metavar='T', type=float,
+                        help='duration (default: three laps and a bit)')
+    parser.add_argument('--encoding', metavar='NAME', default='rgb8',
+                        help=f'any of {", ".join(ENCODINGS)} (default: %(default)s)')
+    return parser
+
+
+def _simulate(args: argparse.Namespace) -> None:
+    if args.encoding not in ENCODINGS:
+        raise ConfigError(
+            f'encoding {args.encoding!r}: expected one of {", ".join(ENCODINGS)}')
+    flight = simulate_flight(args.flight, args.seed, args.seconds)
+    try:
+        _record(flight, args.encoding, args.out)
+    except OSError as error:
+        raise RecordingError(f'{args.out}: cannot write the recording: {error}') from error
+    print(f'{args.out}: flight {args.flight}, seed {args.seed}: '
+          f'{len(flight.image_stamps_ns)} images ({args.encoding}), '
+          f'{len(flight.odometry)} odometry, {len(flight.ground_truth)} ground truth')
+
+
+def _record(flight: SimulatedFlight, encoding: str, out: Path) -> None:
+    from ..ros.serialization import serialize  # only here: --help and errors need no ROS
+    to_msg = _converters(encoding)
+    with BagWriter(out) as writer, tqdm(
+            total=len(flight.image_stamps_ns), unit='frame', disable=None) as progress:
+        for topic, type_name in TOPICS.values():
+            writer.add_topic(topic, type_name)
+        for event in flight.events(flight.pictures()):
+            stamp_ns, msg = to_msg[type(event)](event)
+            writer.write(TOPICS[type(event)][0], serialize(msg), stamp_ns, stamp_ns)
+            progress.update(isinstance(event, Picture))
+
+
+def _converters(encoding: str) -> dict[type, Callable]:
+    """Return, for each kind of event, the function to its stamp and message."""
+    from ..ros.conversions import image_to_msg, odometry_to_msg, pose_stamped_to_msg
+    encode = ENCODINGS[encoding]
+
+    def picture(event: Picture):
+        return event.stamp_ns, image_to_msg(event.stamp_ns, encode(event.rgb), encoding, 'camera')
+
+    def odometry(event: RawOdometry):
+        return event.sample.stamp_ns, odometry_to_msg(
+            event.sample, event.forward_m_s, event.yaw_rate_rad_s, 'odom', 'base_link')
+
+    def ground_truth(event: GroundTruthSample):
+        return event.stamp_ns, pose_stamped_to_msg(event, 'world')
+
+    return {Picture: picture, RawOdometry: odometry, GroundTruthSample: ground_truth}
