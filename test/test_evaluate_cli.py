@@ -1,0 +1,255 @@
+"""The evaluate command: what it writes, what it prints and how it refuses."""
+
+import json
+import subprocess
+import sys
+
+from dlsc_qbs_ros.cli import evaluate
+from dlsc_qbs_ros.config import Config, load_profile
+from dlsc_qbs_ros.core.types import Frame, GroundTruthSample, OdometrySample, Pose2
+from dlsc_qbs_ros.errors import RecordingError
+from dlsc_qbs_ros.pipeline.runner import RunResult
+import numpy as np
+import pytest
+
+SECOND_NS = 10**9
+N = 40
+COUNTS = {'frames': N, 'view_cells': 5, 'experiences': N, 'closures': 1, 'learning_frames': 3,
+          'epochs': 2}
+
+
+def positions():
+    return np.random.default_rng(0).normal(size=(N, 2)).cumsum(axis=0)
+
+
+def events(with_truth=True):
+    for k, (x, y) in enumerate(positions().tolist()):
+        pose = Pose2(x, y, 0.0)
+        yield OdometrySample(k * SECOND_NS, pose)
+        if with_truth:
+            yield GroundTruthSample(k * SECOND_NS, pose)
+        yield Frame(k * SECOND_NS, np.zeros((4, 4), np.uint8))
+
+
+class Pipeline:
+    """Stands in for reader and pipeline: the error of the run grows with |threshold - 0.7|."""
+
+    def __init__(self):
+        self.with_truth, self.usable = True, slice(None)
+        self.read, self.encoded, self.mapped = [], [], []
+
+    def read_flight(self, path, image_topic, odom_topic, ground_truth_topic,
+                    refused):
+        self.read.append((path, image_topic, odom_topic, ground_truth_topic))
+        refused['/camera/image_raw'] += 7
+        if path.stat().st_size:
+            raise RecordingError(f'{path}: not an MCAP file')
+        return events(self.with_truth)
+
+    def encode(self, stream, config):
+        stream = list(stream)
+        assert not any(isinstance(event, GroundTruthSample) for event in stream)
+        self.encoded.append(config)
+        return stream
+
+    def map_codes(self, encoded, config):
+        assert len(encoded) == 2 * N
+        self.mapped.append(config)
+        poses = np.column_stack([positions(), np.zeros(N)])
+        poses[::2, 0] += 10.0 * abs(config.ratslam.threshold - 0.7)
+        poses = poses[self.usable]
+        return RunResult(
+            np.arange(N, dtype=np.int64)[self.usable] * SECOND_NS, poses, poses, poses, poses,
+            np.zeros((0, 2), np.int64), np.array([[0, 9]]), COUNTS, 0.1)
+
+
+@pytest.fixture
+def pipeline(monkeypatch):
+    """Put the stand-in in the place of reader and pipeline."""
+    fake = Pipeline()
+    for name in ('read_flight', 'encode', 'map_codes'):
+        monkeypatch.setattr(evaluate, name, getattr(fake, name))
+    return fake
+
+
+@pytest.fixture
+def flight(tmp_path):
+    """Return the path of a recording that the stand-in reads."""
+    path = tmp_path / 'flight_1.mcap'
+    path.touch()
+    return path
+
+
+def rows_of(out):
+    return json.loads((out / 'metrics.json').read_text())['rows']
+
+
+class TestResults:
+    """What a successful evaluation leaves behind."""
+
+    def test_writes_metrics_configuration_and_one_picture_per_row(
+            self, pipeline, flight, tmp_path, capsys):
+        out = tmp_path / 'deep' / 'out'
+        assert evaluate.main([str(flight), '--encoder', 'dlsc_qbs,dlsc', '--out', str(out)]) == 0
+        assert sorted(path.name for path in out.iterdir()) == [
+            'config.yaml', 'flight_1_dlsc.png', 'flight_1_dlsc_qbs.png', 'metrics.json']
+        rows = rows_of(out)
+        assert [(row['flight'], row['encoder']) for row in rows] == [
+            ('flight_1', 'dlsc_qbs'), ('flight_1', 'dlsc')]
+        assert all(row['mae_l'] is not None and row['frames'] == N for row in rows)
+        captured = capsys.readouterr()
+        assert 'MAE_L | MAE_M' in captured.out
+        assert 'flight_1 dlsc: 7 messages of /camera/image_raw refused' in captured.out
+        assert captured.err == ''
+
+    def test_the_default_encoder_is_the_paper_s_own(self, pipeline, flight, tmp_path):
+        assert evaluate.main([str(flight), '--out', str(tmp_path / 'out')]) == 0
+        assert [row['encoder'] for row in rows_of(tmp_path / 'out')] == ['dlsc_qbs']
+
+    def test_each_encoder_changes_the_configuration_of_its_own_rows(
+            self, pipeline, flight, tmp_path):
+        evaluate.main([str(flight), '--encoder', 'dlsc_qbs_paper,dlsc,dlsc_qbs', '--out',
+                       str(tmp_path / 'out')])
+        assert [(config.encoder.mode, config.encoder.gate) for config in pipeline.encoded] == [
+            ('paper', True), ('epochs', False), ('epochs', True)]
+
+    def test_without_ground_truth_the_figures_are_null(self, pipeline, flight, tmp_path, capsys):
+        pipeline.with_truth = False
+        assert evaluate.main([str(flight), '--out', str(tmp_path / 'out')]) == 0
+        row, = rows_of(tmp_path / 'out')
+        assert row['mae_l'] is row['odometry_mae_m'] is row['alignment'] is None
+        assert 'no ground truth' in capsys.readouterr().out
+
+    def test_configuration_reads_back_as_it_was(self, pipeline, flight, tmp_path):
+        profile = tmp_path / 'profile.yaml'
+        profile.write_text('/**:\n  ros__parameters:\n    encoder: {n_atoms: 9, seed: 1}\n')
+        evaluate.main([str(flight), '--config', str(profile), '--set', 'encoder.seed=2',
+                       '--set', 'encoder.eta_c=1e-3', '--threshold', '0.6',
+                       '--out', str(tmp_path / 'out')])
+        read_back = Config().override(load_profile(tmp_path / 'out' / 'config.yaml'))
+        assert read_back == pipeline.mapped[0]
+        assert read_back == Config().override({
+            'encoder.n_atoms': 9, 'encoder.seed': 2, 'encoder.eta_c': 1e-3,
+            'ratslam.threshold': 0.6})
+        assert '[]' not in (tmp_path / 'out' / 'config.yaml').read_text(), 'ROS cannot read []'
+
+    def test_topics_reach_the_reader(self, pipeline, flight, tmp_path):
+        evaluate.main([str(flight), '--image-topic', '/a', '--odom-topic', '/b',
+                       '--ground-truth-topic', '/c', '--out', str(tmp_path / 'out')])
+        assert pipeline.read == [(flight, '/a', '/b', '/c')]
+
+    def test_flights_of_one_name_are_told_apart_by_their_folders(self, pipeline, tmp_path):
+        for folder in ('seed_0', 'seed_1'):
+            (tmp_path / folder).mkdir()
+            (tmp_path / folder / 'flight_1.mcap').touch()
+        out = tmp_path / 'out'
+        evaluate.main([str(tmp_path / folder / 'flight_1.mcap') for folder in ('seed_0', 'seed_1')]
+                      + ['--out', str(out)])
+        assert [row['flight'] for row in rows_of(out)] == ['seed_0_flight_1', 'seed_1_flight_1']
+
+
+class TestThreshold:
+    """A number for all rows, or the best one for each."""
+
+    def test_a_number_is_used_and_reported(self, pipeline, flight, tmp_path):
+        evaluate.main([str(flight), '--threshold', '0.7', '--out', str(tmp_path / 'out')])
+        row, = rows_of(tmp_path / 'out')
+        assert (row['threshold'], row['threshold_tuned']) == (0.7, False)
+        assert row['mae_l'] == pytest.approx(0.0, abs=1e-6)
+
+    def test_tune_finds_the_least_mae_l_and_encodes_once(self, pipeline, flight, tmp_path):
+        evaluate.main([str(flight), '--threshold', 'tune', '--out', str(tmp_path / 'out')])
+        row, = rows_of(tmp_path / 'out')
+        assert row['threshold_tuned'] is True
+        assert row['threshold'] == min(evaluate.TUNING_GRID, key=lambda mu: abs(mu - 0.7))
+        assert len(pipeline.encoded) == 1
+        assert len(pipeline.mapped) == len(evaluate.TUNING_GRID) + 1
+
+    def test_tune_takes_the_strictest_of_equals(
+            self, pipeline, flight, tmp_path, monkeypatch):
+        monkeypatch.setattr(evaluate, 'map_codes', lambda encoded, config: pipeline.map_codes(
+            encoded, config.override({'ratslam.threshold': 0.7})))
+        evaluate.main([str(flight), '--threshold', 'tune', '--out', str(tmp_path / 'out')])
+        assert rows_of(tmp_path / 'out')[0]['threshold'] == max(evaluate.TUNING_GRID)
+
+    def test_tune_leaves_odometry_alone(self, pipeline, flight, tmp_path):
+        evaluate.main([str(flight), '--encoder', 'odometry', '--threshold', 'tune', '--out',
+                       str(tmp_path / 'out')])
+        row, = rows_of(tmp_path / 'out')
+        assert (row['threshold'], row['threshold_tuned']) == (None, False)
+
+    def test_tune_needs_ground_truth(self, pipeline, flight, tmp_path, capsys):
+        pipeline.with_truth = False
+        assert evaluate.main([str(flight), '--threshold', 'tune', '--out',
+                              str(tmp_path / 'out')]) == 1
+        assert 'flight_1.mcap: --threshold tune: expected ground truth' in capsys.readouterr().err
+
+
+class TestRefusals:
+    """Expected errors are one line on stderr and exit code 1."""
+
+    @pytest.mark.parametrize('arguments, message', [
+        (['--encoder', 'dlsc,vgg'], r"--encoder 'vgg': expected any of dlsc_qbs, dlsc_qbs_paper"),
+        (['--encoder', ''], "--encoder ''"),
+        (['--set', 'encoder.atoms=3'], "unknown parameter 'encoder.atoms' (value 3)"),
+        (['--set', 'encoder.n_atoms=0'], 'encoder.n_atoms = 0: expected a value in [1, 4096]'),
+        (['--set', 'encoder.n_atoms'], "'encoder.n_atoms': expected section.name=value"),
+        (['--set', 'encoder.eta_c=fast'], "encoder.eta_c = 'fast': expected float"),
+        (['--threshold', 'best'], "--threshold 'best': expected a number or 'tune'"),
+        (['--threshold', '1.5'], 'ratslam.threshold = 1.5: expected a value in [-1.0, 1.0]'),
+        (['--threshold', 'nan'], 'ratslam.threshold = nan'),
+        (['--config', 'absent.yaml'], 'absent.yaml: not a readable YAML file'),
+    ])
+    def test_of_arguments(self, pipeline, flight, tmp_path, capsys, arguments, message):
+        assert evaluate.main([str(flight), *arguments, '--out', str(tmp_path / 'out')]) == 1
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.startswith('evaluate: ')
+        assert error.count('\n') == 1
+        assert pipeline.read == []
+
+    def test_of_a_missing_flight_before_any_work(self, pipeline, flight, tmp_path, capsys):
+        absent = tmp_path / 'absent.mcap'
+        assert evaluate.main([str(flight), str(absent), '--out', str(tmp_path / 'out')]) == 1
+        assert capsys.readouterr().err == f'evaluate: {absent}: no such file or folder\n'
+        assert pipeline.read == []
+
+    def test_of_a_broken_flight_keeps_the_rows_before_it(
+            self, pipeline, flight, tmp_path, capsys):
+        broken = tmp_path / 'broken.mcap'
+        broken.write_text('not a recording')
+        out = tmp_path / 'out'
+        assert evaluate.main([str(flight), str(broken), '--out', str(out)]) == 1
+        assert capsys.readouterr().err == f'evaluate: {broken}: not an MCAP file\n'
+        assert [row['flight'] for row in rows_of(out)] == ['flight_1']
+
+    def test_of_a_flight_whose_frames_meet_no_odometry(
+            self, pipeline, flight, tmp_path, capsys):
+        pipeline.usable = slice(0)
+        assert evaluate.main([str(flight), '--out', str(tmp_path / 'out')]) == 1
+        assert 'flight_1.mcap: expected odometry before and after' in capsys.readouterr().err
+
+    def test_of_a_flight_given_twice(self, pipeline, flight, tmp_path, capsys):
+        assert evaluate.main([str(flight), str(flight), '--out', str(tmp_path / 'out')]) == 1
+        assert 'given twice' in capsys.readouterr().err
+
+    def test_of_an_output_folder_that_is_a_file(self, pipeline, flight, capsys):
+        assert evaluate.main([str(flight), '--out', str(flight)]) == 1
+        error = capsys.readouterr().err
+        assert f'--out {flight}: cannot be written' in error
+        assert error.count('\n') == 1
+
+    def test_of_a_command_line_without_a_flight(self, capsys):
+        with pytest.raises(SystemExit) as exit_:
+            evaluate.main(['--out', 'out'])
+        assert exit_.value.code == 2
+        assert 'FLIGHT' in capsys.readouterr().err
+
+
+def test_the_command_needs_neither_ros_nor_matplotlib_to_start():
+    code = ('import sys, dlsc_qbs_ros.cli.evaluate\n'
+            'print([m for m in ("rclpy", "sensor_msgs", "nav_msgs", "matplotlib") '
+            'if m in sys.modules])')
+    output = subprocess.run([sys.executable, '-c', code], check=True, capture_output=True,
+                            text=True, timeout=60).stdout
+    assert output.strip() == '[]'
