@@ -148,7 +148,9 @@ class Mapper:
         if score is None:
             return None
         distance_m = self._gated_distance(odometry)
-        needed = np.where(distance_m <= self._config.tracking_distance_m,
+        # Near by chance is not tracking: odometry must be sure enough to tell.
+        is_tracking = self.sigmas()[0] <= self._config.tracking_distance_m
+        needed = np.where(is_tracking & (distance_m <= self._config.tracking_distance_m),
                           self._config.tracking_threshold, self._config.threshold)
         candidates = np.flatnonzero(np.isfinite(distance_m) & (score >= needed))
         return int(candidates[np.argmax(score[candidates])]) if len(candidates) else None

@@ -21,7 +21,7 @@ ENCODERS: dict[str, dict[str, Any]] = {
     'dlsc_qbs': {},
     'dlsc_qbs_paper': {'encoder.mode': 'paper'},
     'dlsc': {'encoder.gate': False},
-    'odometry': {'ratslam.threshold': 1.0, 'ratslam.tracking_threshold': 1.0},
+    'odometry': {'ratslam.min_age_s': 1e5},
 }
 
 
