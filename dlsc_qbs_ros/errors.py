@@ -13,6 +13,10 @@ class ImageError(DlscQbsError):
     """An image message cannot be decoded as it stands."""
 
 
+class StampError(DlscQbsError):
+    """A stamp is not after the one before it."""
+
+
 class OdometryError(DlscQbsError):
     """An odometry message holds no usable pose."""
 

@@ -39,6 +39,8 @@ class CodeBook:
 
     def add_dictionary(self, dictionary: Dictionary) -> None:
         """Start to re-encode the views so far under a new dictionary."""
+        if self.is_current(dictionary.stamp_ns):
+            self._coder = None  # a flight played again: another dictionary by the same name
         known = list(self._views)
         coder = Coder(dictionary, self._config)
         self._pending[dictionary.stamp_ns] = _Reencoding(

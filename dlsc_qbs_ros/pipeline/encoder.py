@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from .coder import Coder
+from .stamps import StampOrder, Succession
 from ..config import Config
 from ..core.dictionary import DictionaryLearner
 from ..core.preprocessing import make_view, view_to_inputs
 from ..core.surprise import SurpriseGate
 from ..core.types import Code, Dictionary, Frame, View
+from ..errors import StampError
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ class Encoder:
         self._config = config
         self._learner = DictionaryLearner(config.view.width * config.view.height, config.encoder)
         self._gate = SurpriseGate(config.encoder.gate_window)
+        self._order = StampOrder()
         self._coder: Coder | None = None
         self._epoch = 0
 
@@ -54,10 +57,15 @@ class Encoder:
         Raises
         ------
         ImageError
-            When the image cannot be made into a view; nothing has changed then.
+            When the image cannot be made into a view.
+        StampError
+            When the stamp is not after that of the frame before. A refused frame changes nothing.
 
         """
         view = make_view(frame.grey, self._config.view)
+        if self._order.take(frame.stamp_ns) is Succession.LATE:
+            raise StampError(f'stamp {frame.stamp_ns} ns: expected one after '
+                             f'{self._order.newest_ns} ns')
         inputs = view_to_inputs(view[None], self._config.view.standardise)
         dictionary = self._start_epoch(frame.stamp_ns) if self._is_epoch_over() else None
         error = self._learner.infer(inputs)

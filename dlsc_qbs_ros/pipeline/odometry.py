@@ -8,6 +8,7 @@ from dataclasses import replace
 from math import hypot
 from typing import Callable, Protocol
 
+from .stamps import StampOrder, Succession
 from ..config import OdometryConfig
 from ..core.geometry import compose, interpolate
 from ..core.types import IDENTITY, OdometrySample, Pose2, RawOdometry
@@ -31,13 +32,13 @@ class OdometryNormaliser:
     Puts raw odometry in order: stamps rise, poses are continuous within a segment.
 
     A sample that is not after its predecessor is refused and counted; a fall back of the clock
-    by more than `CLOCK_JUMP_S`, a silence or an impossible step starts a new segment.
+    far enough to be a restart (`StampOrder`), a silence or an impossible step starts a new
+    segment.
     """
-
-    CLOCK_JUMP_S = 1.0
 
     def __init__(self, config: OdometryConfig):
         self._config = config
+        self._order = StampOrder()
         self._last: RawOdometry | None = None
         self._integrated = IDENTITY
         self._segment = 0
@@ -45,11 +46,11 @@ class OdometryNormaliser:
 
     def accept(self, raw: RawOdometry) -> OdometrySample | None:
         """Return the normalised sample, or None when it is refused."""
+        if self._order.take(raw.sample.stamp_ns) is Succession.LATE:
+            self.counts['odometry_out_of_order'] += 1
+            return None
         if self._last is not None:
             step_s = (raw.sample.stamp_ns - self._last.sample.stamp_ns) * 1e-9
-            if -self.CLOCK_JUMP_S <= step_s <= 0.0:
-                self.counts['odometry_out_of_order'] += 1
-                return None
             cause = self._discontinuity(raw, step_s)
             if cause:
                 self.counts[cause] += 1

@@ -11,6 +11,7 @@ import numpy as np
 from .code_book import CodeBook
 from .mapper import Mapper
 from .odometry import OdometryHistory
+from .stamps import StampOrder, Succession
 from ..config import Config
 from ..core.geometry import compose
 from ..core.types import IDENTITY, Code, Dictionary, OdometrySample, PoseEstimate, View
@@ -31,7 +32,7 @@ class RatSlam:
 
     # A camera's frames jitter: a code may come up to a quarter of a period early.
     EARLY_SHARE = 0.25
-    CLOCK_JUMP_NS = 1_000_000_000
+    MAX_VIEWS = 1000
     CHECK_EVERY = 50
     CHECK_TOLERANCE = 1e-3
 
@@ -39,13 +40,14 @@ class RatSlam:
                  on_update: Callable[[Mapper], None] = lambda mapper: None):
         self._period_ns = int(config.ratslam.sample_period_s * (1 - self.EARLY_SHARE) * 1e9)
         self._max_wait_s = config.ratslam.max_wait_s
+        self._view_shape = (config.view.height, config.view.width)
         self._dictionary_shape = (config.encoder.n_atoms, config.view.width * config.view.height)
         self._book = CodeBook(config, executor or InlineExecutor())
         self._history = OdometryHistory()
         self._codes: deque[tuple[Code, float]] = deque()
         self._samples: deque[tuple[OdometrySample, float]] = deque()
         self._views: dict[int, np.ndarray] = {}
-        self._newest_code_ns: int | None = None
+        self._code_order = StampOrder()
         self._used_ns: int | None = None
         self._codes_flow = False
         self._map_T_odom = IDENTITY
@@ -72,21 +74,27 @@ class RatSlam:
         self._book.add_dictionary(dictionary)
 
     def add_view(self, view: View) -> None:
-        """Take in the view of a code."""
+        """Take in the view of a code; one of another shape is refused."""
+        if view.pixels.shape != self._view_shape:
+            self.counts['views_of_another_shape'] += 1
+            return
         self._views[view.stamp_ns] = view.pixels
+        if len(self._views) > self.MAX_VIEWS:
+            self.counts['views_without_code'] += 1
+            del self._views[next(iter(self._views))]
 
     def add_code(self, code: Code, now_s: float = 0.0) -> None:
         """Take in the next code; one of another length or not after the last is refused."""
         if len(code.values) != self._dictionary_shape[0]:
             self.counts['codes_of_another_length'] += 1
             return
-        if self._newest_code_ns is not None and code.stamp_ns <= self._newest_code_ns:
-            if self._newest_code_ns - code.stamp_ns <= self.CLOCK_JUMP_NS:
-                self.counts['codes_out_of_order'] += 1
-                return
+        succession = self._code_order.take(code.stamp_ns)
+        if succession is Succession.LATE:
+            self.counts['codes_out_of_order'] += 1
+            return
+        if succession is Succession.RESTART:
             self._restart_timeline()
         self.counts['codes_received'] += 1
-        self._newest_code_ns = code.stamp_ns
         self._codes_flow = True
         self._codes.append((code, now_s))
 
@@ -94,7 +102,7 @@ class RatSlam:
         """Forget the queue of a clock that has jumped back; the map stays."""
         self.counts['clock_jumps'] += 1
         self._codes.clear()
-        self._newest_code_ns = self._used_ns = None
+        self._used_ns = None
 
     def advance(self, now_s: float) -> list[PoseEstimate]:
         """Process all that is ready, or waited too long, and return the poses in stamp order."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from math import inf
 import time
@@ -15,6 +16,7 @@ from .ratslam import RatSlam
 from ..config import Config
 from ..core.geometry import compose
 from ..core.types import Code, Dictionary, Frame, OdometrySample, RawOdometry, View
+from ..errors import ImageError, StampError
 
 # What an encoder of the table means in parameters.
 ENCODERS: dict[str, dict[str, Any]] = {
@@ -80,12 +82,12 @@ def run(events: Iterable[Frame | RawOdometry], config: Config) -> RunResult:
 def encode(events: Iterable[Frame | RawOdometry], config: Config) -> EncodedFlight:
     """Take a flight through the encoder, once for any number of `map_codes`."""
     started = time.perf_counter()
-    counts = {'frames': 0, 'learning_frames': 0, 'epochs': 0}
+    counts = Counter(frames=0, learning_frames=0, epochs=0)
     encoded = list(_encode(events, config, counts))
     return EncodedFlight(encoded, counts, time.perf_counter() - started)
 
 
-def _encode(events: Iterable[Frame | RawOdometry], config: Config, counts: dict[str, int]
+def _encode(events: Iterable[Frame | RawOdometry], config: Config, counts: Counter[str]
             ) -> Iterator[OdometrySample | Dictionary | View | Code]:
     encoder = Encoder(config)
     normaliser = OdometryNormaliser(config.odometry)
@@ -95,7 +97,11 @@ def _encode(events: Iterable[Frame | RawOdometry], config: Config, counts: dict[
             if sample is not None:
                 yield sample
             continue
-        result = encoder.process(event)
+        try:
+            result = encoder.process(event)
+        except (ImageError, StampError):
+            counts['frames_refused'] += 1
+            continue
         counts['frames'] += 1
         counts['learning_frames'] += result.learned
         if result.dictionary is not None:
