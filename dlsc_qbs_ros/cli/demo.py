@@ -1,0 +1,168 @@
+"""One simulated flight through the three live nodes, recorded, and measured by evaluate."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from contextlib import contextmanager, ExitStack
+import json
+import os
+from pathlib import Path
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from typing import Iterator, Sequence
+
+import yaml
+
+from ..errors import DlscQbsError
+
+INSTALLED = Path('install', 'dlsc_qbs_ros')
+PROFILE = INSTALLED / 'share' / 'dlsc_qbs_ros' / 'config' / 'replay.yaml'
+NODES = ('recorder', 'encoder', 'ratslam')
+FLIGHT_S = 150
+RATE = 5
+TOOL_TIMEOUT_S = 240
+STOP_TIMEOUT_S = 20
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the demonstration; print expected errors as one line and return the exit code."""
+    parser = argparse.ArgumentParser(prog='demo', description=__doc__)
+    parser.add_argument('--out', metavar='DIR', type=Path, required=True)
+    out = parser.parse_args(argv).out
+    try:
+        _demonstrate(out)
+    except DlscQbsError as error:
+        print(f'demo: {error}', file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def _demonstrate(out: Path) -> None:
+    if not INSTALLED.is_dir():
+        raise DlscQbsError(f'{INSTALLED} is missing: run `make build` first')
+    for number in (signal.SIGINT, signal.SIGTERM):  # both unwind, and leave no node behind
+        signal.signal(number, signal.default_int_handler)
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    flight, recording = out / 'flight1', out / 'recording'
+    os.environ.update(
+        ROS_DOMAIN_ID=str(_unused_domain()), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
+
+    _say(f'1/4 simulating {FLIGHT_S} s of flight between a wall and shelves that look alike')
+    _run_tool('simulate', '--flight', 1, '--seed', 0, '--seconds', FLIGHT_S,
+              '--encoding', 'mono8', '--out', flight)
+    _say(f'2/4 playing it {RATE} times as fast through encoder, ratslam and recorder')
+    with ExitStack() as stack:
+        nodes = {name: stack.enter_context(_node(out, name, recording)) for name in NODES}
+        _run_tool('replay', flight, '--rate', RATE)
+        _say('3/4 evaluating the same flight without ROS, while the nodes finish')
+        _run_tool('evaluate', flight, '--config', PROFILE, '--out', out)
+        _say('4/4 stopping the nodes and closing the recording')
+        for name in reversed(NODES):
+            _stop(name, nodes[name])
+    print(_summary(out, flight, recording))
+
+
+def _say(text: str) -> None:
+    print(f'== {text}', flush=True)  # in order with what the tools print
+
+
+def _unused_domain() -> int:
+    """Return a ROS domain whose first discovery port nobody on this machine holds."""
+    for domain in random.sample(range(1, 101), 100):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(('', 7400 + 250 * domain + 10))
+            except OSError:
+                continue
+        return domain
+    raise DlscQbsError('every ROS domain from 1 to 100 is in use on this machine')
+
+
+def _executable(name: str) -> Path:
+    return INSTALLED / 'lib' / 'dlsc_qbs_ros' / name
+
+
+def _run_tool(name: str, *arguments: object) -> None:
+    """Run a tool to its end, in bounded time."""
+    try:
+        subprocess.run([_executable(name), *map(str, arguments)], check=True,
+                       stdin=subprocess.DEVNULL, timeout=TOOL_TIMEOUT_S)
+    except subprocess.CalledProcessError as error:
+        raise DlscQbsError(f'{name} failed with exit code {error.returncode}') from error
+    except subprocess.TimeoutExpired as error:
+        raise DlscQbsError(f'{name} did not end within {TOOL_TIMEOUT_S} s') from error
+
+
+@contextmanager
+def _node(out: Path, name: str, recording: Path) -> Iterator[subprocess.Popen]:
+    """Start a node that writes its log beside the results; leave none behind."""
+    command = [
+        _executable(name), '--ros-args', '-r', 'image:=/camera/image_raw', '-r', 'odom:=/odom',
+        '--params-file', PROFILE]
+    # On the flight's clock the recorder would wait for its first tick and miss what comes with it.
+    command += ['-p', f'recorder.output:={recording}' if name == 'recorder'
+                else 'use_sim_time:=true']
+    with open(out / f'{name}.log', 'w') as log:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _stop(name: str, process: subprocess.Popen) -> None:
+    """End a node as Ctrl-C would; it must have lived until now and end well."""
+    if process.poll() is not None:
+        raise DlscQbsError(f'{name} died early with exit code {process.returncode}: see its log')
+    process.send_signal(signal.SIGINT)
+    try:
+        code = process.wait(STOP_TIMEOUT_S)
+    except subprocess.TimeoutExpired as error:
+        raise DlscQbsError(f'{name} did not stop within {STOP_TIMEOUT_S} s') from error
+    if code != 0:
+        raise DlscQbsError(f'{name} ended with exit code {code}: see its log')
+
+
+def _summary(out: Path, flight: Path, recording: Path) -> str:
+    """Say what was done, what was measured and what to look at."""
+    flown, recorded = _message_counts(flight), _message_counts(recording)
+    images, codes, poses = flown['/camera/image_raw'], recorded['/code'], recorded['/pose']
+    if not codes or not poses:
+        raise DlscQbsError(f'{recording} holds {codes} codes and {poses} poses: see the node logs')
+    row = json.loads((out / 'metrics.json').read_text())['rows'][0]
+    picture, = out.glob('*.png')
+    return (
+        f'\nDone: {FLIGHT_S} s of simulated flight went through the live nodes:\n'
+        f'  of {images} images the recording holds {codes} codes and {poses} poses, '
+        f'{sum(recorded.values())} messages in all.\n'
+        f'Measured: {row["closures"]} loop closures among {row["experiences"]} experiences;\n'
+        f'  mean error MAE_L {row["mae_l"]:.2f} m, MAE_M {row["mae_m"]:.2f} m; odometry alone '
+        f'{row["odometry_mae_l"]:.2f} m, {row["odometry_mae_m"]:.2f} m.\n'
+        f'Look at: {picture} (estimate, odometry, truth, closures),\n  {out / "metrics.json"}, '
+        f'and {recording} in Foxglove or with `ros2 bag info`.')
+
+
+def _message_counts(recording: Path) -> Counter[str]:
+    """Return the number of messages per topic that a rosbag2 recording declares."""
+    document = yaml.safe_load((recording / 'metadata.yaml').read_text())
+    topics = document['rosbag2_bagfile_information']['topics_with_message_count']
+    return Counter({topic['topic_metadata']['name']: topic['message_count'] for topic in topics})
+
+
+if __name__ == '__main__':
+    sys.exit(main())

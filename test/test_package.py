@@ -1,0 +1,132 @@
+"""What a user installs: declared dependencies, profiles, launch files and executables."""
+
+import ast
+from importlib.util import find_spec
+import os
+from pathlib import Path
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from dlsc_qbs_ros.cli import demo
+from dlsc_qbs_ros.config import Config, load_profile, PARAMETERS, ROS_OWN_PARAMETERS
+
+ROOT = Path(__file__).parent.parent
+PROFILES = sorted((ROOT / 'config').glob('*.yaml'))
+LAUNCH_FILES = sorted((ROOT / 'launch').glob('*.launch.py'))
+BIN = ROOT / 'install' / 'dlsc_qbs_ros' / 'lib' / 'dlsc_qbs_ros'
+TOOLS = ('simulate', 'replay', 'evaluate')
+NODES = ('encoder', 'ratslam', 'recorder')
+
+# The rosdep key of an imported module, where the two names differ.
+ROSDEP_KEYS = {
+    'ament_flake8': 'ament_flake8', 'ament_pep257': 'ament_pep257',
+    'cv2': 'python3-opencv', 'matplotlib': 'python3-matplotlib', 'mcap': 'mcap-ros2-support',
+    'mcap_ros2': 'mcap-ros2-support', 'numpy': 'python3-numpy', 'pytest': 'python3-pytest',
+    'pymavlink': 'python3-pymavlink-pip', 'rosbags': 'python3-rosbags-pip',
+    'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml',
+}
+
+
+def imported(folder):
+    """Return the third-party modules that the Python files under the folder import."""
+    nodes = [node for path in (ROOT / folder).rglob('*.py')
+             for node in ast.walk(ast.parse(path.read_text()))]
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) if not node.level}
+    local = {'dlsc_qbs_ros', *(path.stem for path in (ROOT / 'test').glob('*.py'))}
+    return {name.partition('.')[0] for name in names} - sys.stdlib_module_names - local
+
+
+def dependencies(*kinds):
+    package = ElementTree.parse(ROOT / 'package.xml').getroot()
+    return {element.text for kind in kinds for element in package.iter(kind)}
+
+
+@pytest.mark.parametrize('folder', ['dlsc_qbs_ros', 'launch'])
+def test_package_xml_names_the_rosdep_key_of_every_import(folder):
+    keys = {ROSDEP_KEYS.get(name, name) for name in imported(folder)}
+    assert keys <= dependencies('depend', 'exec_depend')
+
+
+def test_package_xml_names_what_the_tests_import_as_well():
+    keys = {ROSDEP_KEYS.get(name, name) for name in imported('test')}
+    assert keys <= dependencies('depend', 'exec_depend', 'test_depend')
+
+
+def test_package_xml_and_setup_cfg_tell_the_same_version():
+    version = ElementTree.parse(ROOT / 'package.xml').getroot().findtext('version')
+    assert f'\nversion = {version}\n' in (ROOT / 'setup.cfg').read_text()
+    assert f'\n{version} (' in (ROOT / 'CHANGELOG.rst').read_text()
+
+
+@pytest.mark.parametrize('path', PROFILES, ids=lambda path: path.name)
+def test_a_profile_overrides_known_parameters_with_other_values(path):
+    profile = load_profile(path)
+    changed = Config().override(profile).flat()
+    assert profile
+    assert not [key for key in profile if changed[key] == PARAMETERS[key].default]
+
+
+@pytest.mark.parametrize('path', PROFILES, ids=lambda path: path.name)
+def test_a_profile_holds_nothing_that_only_looks_like_a_ros_parameter(path):
+    tree = yaml.safe_load(path.read_text())['/**']['ros__parameters']
+    own = {prefix.rstrip('.') for prefix in ROS_OWN_PARAMETERS}
+    assert set(tree) <= {key.partition('.')[0] for key in PARAMETERS} | own
+
+
+def test_fast_dds_profile_gives_images_room_in_shared_memory():
+    tree = ElementTree.parse(ROOT / 'config' / 'fastdds_shared_memory.xml')
+    space = '{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}'
+    assert [int(tree.find(f'.//{space}{name}').text) for name in (
+        'segment_size', 'maxMessageSize')] == [32 * 2**20, 4 * 2**20]
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_a_launch_file_describes_itself(path):
+    namespace = {'__name__': 'launch_file'}
+    code = compile(path.read_text(), path.name, 'exec')
+    if find_spec('launch_ros') is None:
+        pytest.skip('launch_ros is not installed: compiled only')
+    exec(code, namespace)
+    assert namespace['generate_launch_description']().entities
+
+
+def environment(home):
+    """Return nothing but a home for ROS's logs, or the sourced ROS 2 the package was built in."""
+    return dict(os.environ) if 'ROS_DISTRO' in os.environ else {'HOME': str(home)}
+
+
+def run(home, name, *arguments):
+    pytest.importorskip('rclpy')
+    if not BIN.is_dir():
+        pytest.fail(f'{BIN} is missing: run `make build` first')
+    return subprocess.run(
+        [BIN / name, *arguments], env=environment(home), cwd=home, timeout=60,
+        stdin=subprocess.DEVNULL, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize('name', TOOLS)
+def test_an_installed_tool_explains_itself_in_an_empty_environment(name, tmp_path):
+    done = run(tmp_path, name, '--help')
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f'usage: {name}')
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_an_installed_node_starts_in_an_empty_environment_and_checks_its_parameters(
+        name, tmp_path):
+    done = run(tmp_path, name, '--ros-args', '-p', 'odometry.max_gap_s:=-1.0')
+    assert done.returncode != 0
+    assert 'odometry.max_gap_s' in done.stderr
+    assert 'Traceback' not in done.stderr
+
+
+def test_the_demo_without_a_build_says_what_to_do(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert demo.main(['--out', 'demo_output']) == 1
+    assert capsys.readouterr().err == (
+        'demo: install/dlsc_qbs_ros is missing: run `make build` first\n')
