@@ -152,13 +152,13 @@ class RatSlamConfig(Section):
     keyframe_angle_rad: float = parameter(
         0.2, 'turn after which a view is compared or stored', unit='rad', bounds=(0.001, 6.3))
     threshold: float = parameter(
-        0.88, 'similarity mu from which a run of views is an old place', bounds=(-1.0, 1.0))
+        0.92, 'similarity mu from which a run of views is an old place', bounds=(-1.0, 1.0))
     tracking_threshold: float = parameter(
         0.75, 'the same while the old place is where odometry expects it', bounds=(-1.0, 1.0))
     tracking_distance_m: float = parameter(
         1.0, 'largest correction that counts as tracking', unit='m', bounds=(0.0, 1e3))
     sequence_length: int = parameter(
-        12, 'views in a row that are compared as one', unit='views', bounds=(1, 200))
+        14, 'views in a row that are compared as one', unit='views', bounds=(1, 200))
     min_age_s: float = parameter(
         10.0, 'age of an experience before it can be met again', unit='s', bounds=(0.0, 1e5))
     min_path_m: float = parameter(

@@ -35,6 +35,17 @@ class DictionaryLearner:
         self.refresh_gram()
         self.codes_ = np.zeros((1, config.n_atoms))
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether learning has not run away."""
+        return bool(np.isfinite(self.gram_.sum() + self.codes_.sum()))
+
+    def restart(self, atoms: np.ndarray) -> None:
+        """Go on from these atoms (n_atoms, n_inputs) and zero codes."""
+        self.atoms_ = atoms.copy()
+        self.refresh_gram()
+        self.codes_ = np.zeros_like(self.codes_)
+
     def refresh_gram(self) -> None:
         """Recompute the Gram matrix from the atoms, which ends its rounding drift."""
         self.gram_ = (self.atoms_ @ self.atoms_.T).astype(np.float64)
@@ -46,6 +57,7 @@ class DictionaryLearner:
         Parameters
         ----------
         inputs : ndarray of shape (n, n_inputs), float32
+            The input vectors s_k of one frame.
 
         """
         if len(self.codes_) != len(inputs):

@@ -33,7 +33,9 @@ def make_view(grey: np.ndarray, config: ViewConfig) -> np.ndarray:
     Parameters
     ----------
     grey : ndarray of shape (rows, columns), uint8
+        The image.
     config : ViewConfig
+        Size of the view, and the shares of the image that are cut off.
 
     Returns
     -------
@@ -78,6 +80,7 @@ def view_to_inputs(views: np.ndarray, standardise: bool) -> np.ndarray:
     Parameters
     ----------
     views : ndarray of shape (n_views, height, width), uint8
+        Views of one size.
     standardise : bool
         True: zero mean and deviation `DEVIATION`, which undoes changes of lighting.
         False: pixels in [0, 1], as in the paper.

@@ -26,8 +26,16 @@ def proximal_steps(codes: np.ndarray, b: np.ndarray, gram: np.ndarray, eta_c: fl
 
     Parameters
     ----------
-    codes, b : ndarray of shape (n, M), float64
+    codes : ndarray of shape (n, M), float64
+        Where the iterations start.
+    b : ndarray of shape (n, M), float64
+        Products s phi^T of inputs and atoms.
     gram : ndarray of shape (M, M), float64
+        Products phi phi^T of the atoms.
+    eta_c, lambda_1 : float
+        Coding rate and weight of the l1 norm.
+    n_steps : int
+        Number of iterations N_c.
 
     Returns
     -------

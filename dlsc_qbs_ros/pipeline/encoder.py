@@ -30,6 +30,7 @@ class Encoded:
     reprojection_error: float
     surprise: float
     learned: bool
+    ran_away: bool
     epoch: int
 
 
@@ -39,7 +40,8 @@ class Encoder:
 
     The learner runs Algorithm 1 as printed on its live dictionary. What is published are the
     converged codes under a snapshot of it that is held for an epoch, so that codes of one epoch
-    can be compared; in `paper` mode, the learner's own codes.
+    can be compared; in `paper` mode, the learner's own codes. A learner that runs away starts
+    again from the last snapshot, except in `paper` mode, where the paper has nothing against it.
     """
 
     def __init__(self, config: Config):
@@ -74,10 +76,15 @@ class Encoder:
         if learned:
             self._learner.learn(inputs)
         self._gate.observe(error)
+        ran_away = self._coder is not None and not self._learner.is_finite
+        if ran_away:
+            self._learner.restart(self._coder.dictionary.atoms)
+            self._gate = SurpriseGate(self._config.encoder.gate_window)
         return Encoded(
             code=Code(frame.stamp_ns, values.astype(np.float32), dictionary_ns),
             view=View(frame.stamp_ns, view), dictionary=dictionary, reprojection_error=error,
-            surprise=self._gate.surprise, learned=learned, epoch=self._epoch)
+            surprise=self._gate.surprise, learned=learned, ran_away=ran_away,
+            epoch=self._epoch)
 
     def _published_code(self, inputs: np.ndarray) -> tuple[np.ndarray, int | None]:
         if self._coder is None:

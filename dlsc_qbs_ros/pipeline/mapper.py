@@ -65,7 +65,9 @@ class Mapper:
         Parameters
         ----------
         odometry : OdometrySample
+            The odometry at the code's stamp.
         code : ndarray of shape (n_values,)
+            The code.
 
         """
         if self.view_cells is None:

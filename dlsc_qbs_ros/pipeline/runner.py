@@ -104,6 +104,7 @@ def _encode(events: Iterable[Frame | RawOdometry], config: Config, counts: Count
             continue
         counts['frames'] += 1
         counts['learning_frames'] += result.learned
+        counts['run_aways'] += result.ran_away
         if result.dictionary is not None:
             counts['epochs'] += 1
             yield result.dictionary
