@@ -31,7 +31,7 @@ class Graph:
             'dictionary': observer.advertise(
                 Image, 'dictionary', durability=DurabilityPolicy.TRANSIENT_LOCAL)}
         self.process = start('nodes.ratslam_node', '--ros-args', *ros_args)
-        observer.spin_until(lambda: self.reports and observer.node.count_publishers('pose') and all(
+        observer.spin_until(lambda: self.reports and all(
             publisher.get_subscription_count() for publisher in self.publishers.values()))
 
     def send(self, topic, msg):
