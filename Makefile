@@ -6,10 +6,11 @@ export PYTHON
 export OPENBLAS_NUM_THREADS ?= 1
 
 RUN := scripts/in_environment
+BIN := $(RUN) install/dlsc_qbs_ros/lib/dlsc_qbs_ros
 NUMPY126 := scripts/in_environment --numpy126
 PYTEST := python3 -m pytest -n 2 --dist loadfile
 
-.PHONY: demo test build bench clean lock
+.PHONY: demo test build bench table clean lock
 
 demo: build
 	$(RUN) python3 -m dlsc_qbs_ros.cli.demo --out demo_output
@@ -28,8 +29,18 @@ build:
 bench: build
 	set -e; for file in $(sort $(wildcard benchmarks/bench_*.py)); do $(RUN) python3 $$file; done
 
+# The table of the README: three kinds of flight, three seeds of each, one configuration for all.
+TABLE := table_output
+table: build
+	rm -rf $(TABLE)
+	set -e; for flight in 1 2 3; do for seed in 0 1 2; do \
+		$(BIN)/simulate --flight $$flight --seed $$seed --encoding mono8 \
+			--out $(TABLE)/flight$${flight}_seed$$seed; \
+	done; done
+	$(BIN)/evaluate $(TABLE)/flight* --encoder dlsc_qbs,dlsc_qbs_paper --out $(TABLE)/rows
+
 clean:
-	rm -rf build install log .venv .venv-numpy126 .pytest_cache demo_output bench_output
+	rm -rf build install log .venv .venv-numpy126 .pytest_cache demo_output bench_output $(TABLE)
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 lock:

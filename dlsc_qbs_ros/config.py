@@ -251,7 +251,7 @@ def parse_assignment(text: str) -> tuple[str, Any]:
         raise ConfigError(f'{text!r}: expected section.name=value')
     try:
         return key.strip(), _from_yaml(key.strip(), yaml.safe_load(value))
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date like 2024-13-01
         raise ConfigError(f'{text!r}: {value!r} is not YAML') from error
 
 
@@ -259,7 +259,7 @@ def load_profile(path: Path) -> dict[str, Any]:
     """Read a ROS parameter file and return its `section.name`: value pairs, all nodes merged."""
     try:
         document = yaml.safe_load(Path(path).read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f'{path}: not a readable YAML file: {error}') from error
     values: dict[str, Any] = {}
     for node, content in _mapping(path, document).items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, sqrt
+from math import hypot, pi, sqrt
 
 from .types import Pose2
 from ..config import OdometryConfig
@@ -41,6 +41,7 @@ class Drift:
     def position_sigma_m(self, map_radius_m: float) -> float:
         """Return the deviation of the position, in a map of this radius."""
         lever = min(self._path_m, map_radius_m)
+        yaw_sigma = min(self.yaw_sigma_rad(), pi)  # infinite in a new segment; no turn is more
         return sqrt(self._anchor_sigma[0] ** 2
                     + (self._config.translation_drift * self._path_m) ** 2
-                    + (0.5 * lever * self.yaw_sigma_rad()) ** 2)
+                    + (0.5 * lever * yaw_sigma) ** 2)

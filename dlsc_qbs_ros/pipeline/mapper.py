@@ -147,7 +147,7 @@ class Mapper:
     def _match(self, odometry: OdometrySample, similarities: np.ndarray) -> int | None:
         """Return the view cell that the last run of views ends in, if odometry allows one."""
         score = self._sequence.update(similarities)
-        if score is None:
+        if score is None or self.place is None:
             return None
         distance_m = self._gated_distance(odometry)
         # Near by chance is not tracking: odometry must be sure enough to tell.
@@ -214,10 +214,11 @@ class Mapper:
         trust_rad = _share(self._config.match_yaw_sigma_rad, sigma_rad)
         offset = Pose2(trust_m * expected.x_m, trust_m * expected.y_m,
                        trust_rad * expected.yaw_rad)
-        if experience != self.place.experience:
+        if experience != self.place.experience and self._is_joined:
             motion = compose(self.place.offset, invert(offset))
             self.map.add_link(self.place.experience, experience, motion, True)
         self.place = Place(experience, offset)
+        self._is_joined = True
         self._drift.anchor(self._config.match_position_sigma_m * sqrt(1.0 - trust_m),
                            self._config.match_yaw_sigma_rad * sqrt(1.0 - trust_rad))
 

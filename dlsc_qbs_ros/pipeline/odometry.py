@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from dataclasses import replace
-from math import hypot
+from math import hypot, isfinite
 from typing import Callable, Protocol
 
 from .stamps import StampOrder, Succession
@@ -46,6 +46,9 @@ class OdometryNormaliser:
 
     def accept(self, raw: RawOdometry) -> OdometrySample | None:
         """Return the normalised sample, or None when it is refused."""
+        if self._config.use_twist and not all(map(isfinite, _twist(raw))):
+            self.counts['odometry_without_twist'] += 1
+            return None
         if self._order.take(raw.sample.stamp_ns) is Succession.LATE:
             self.counts['odometry_out_of_order'] += 1
             return None
@@ -74,6 +77,10 @@ class OdometryNormaliser:
         if not self._config.use_twist and hypot(b.x_m - a.x_m, b.y_m - a.y_m) > allowed_m:
             return 'odometry_jumps'
         return None
+
+
+def _twist(raw: RawOdometry) -> tuple[float, float, float]:
+    return raw.forward_m_s, raw.left_m_s, raw.yaw_rate_rad_s
 
 
 def _motion(a: RawOdometry, b: RawOdometry, step_s: float) -> Pose2:

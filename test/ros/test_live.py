@@ -22,7 +22,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy
 from visualization_msgs.msg import MarkerArray
 
-PROFILE = Path(__file__).parent.parent / 'config' / 'replay.yaml'
+PROFILE = Path(__file__).parents[2] / 'config' / 'replay.yaml'
 SECONDS = 45
 
 

@@ -1,0 +1,97 @@
+"""Recorded flights: frames, odometry and ground truth out of any ROS 2 recording."""
+
+from __future__ import annotations
+
+from collections import Counter
+import logging
+from pathlib import Path
+from typing import Iterator, Mapping
+
+from .bag import bag_topics, read_bag
+from .mcap_file import BagMessage
+from ..core.types import Frame, GroundTruthSample, RawOdometry
+from ..errors import DlscQbsError, RecordingError
+
+GROUND_TRUTH_TOPIC = '/ground_truth'
+_IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
+_ODOMETRY_TYPES = ('nav_msgs/msg/Odometry',)
+_POSE_TYPES = ('geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/PoseWithCovarianceStamped',
+               'nav_msgs/msg/Odometry')
+
+_log = logging.getLogger(__name__)
+
+
+def read_flight(path: Path, image_topic: str | None = None, odom_topic: str | None = None,
+                ground_truth_topic: str | None = None, refused: Counter | None = None
+                ) -> Iterator[Frame | RawOdometry | GroundTruthSample]:
+    """
+    Read the events of a flight in the order in which they were recorded.
+
+    Parameters
+    ----------
+    path : Path
+        An MCAP file or a rosbag2 folder.
+    image_topic, odom_topic : str, optional
+        Left out: the only topic of a fitting type.
+    ground_truth_topic : str, optional
+        Left out: `/ground_truth`, and none where the flight has no such topic.
+    refused : Counter, optional
+        Counts the messages that were refused, by topic.
+
+    Raises
+    ------
+    RecordingError
+        When the recording cannot be read, or a topic is missing, of the wrong type or not the
+        only one.
+
+    """
+    topics = bag_topics(path)
+    converters = _converters(path, topics, image_topic, odom_topic, ground_truth_topic)
+    refused = Counter() if refused is None else refused
+    for message in read_bag(path, converters):
+        try:
+            yield converters[message.topic](message)
+        except DlscQbsError as error:
+            if not refused[message.topic]:
+                _log.warning('%s: %s: refused: %s', path, message.topic, error)
+            refused[message.topic] += 1
+
+
+def _converters(path: Path, topics: Mapping[str, str], image_topic: str | None,
+                odom_topic: str | None, ground_truth_topic: str | None) -> dict:
+    from ..ros import conversions, image_conversions  # messages belong to ros; only used here
+    from ..ros.serialization import deserialize
+
+    truth = ground_truth_topic
+    if truth is None and topics.get(GROUND_TRUTH_TOPIC) in _POSE_TYPES:
+        truth = GROUND_TRUTH_TOPIC
+    others = {topic: name for topic, name in topics.items() if topic != truth}
+    chosen = {
+        _only(path, others, image_topic, _IMAGE_TYPES): image_conversions.frame_from_msg,
+        _only(path, others, odom_topic, _ODOMETRY_TYPES): conversions.odometry_from_msg}
+    if truth is not None:
+        chosen[_only(path, topics, truth, _POSE_TYPES)] = conversions.pose_stamped_from_msg
+
+    def converter(convert):
+        def converted(message: BagMessage):
+            return convert(deserialize(message.data, message.type_name))
+        return converted
+    return {topic: converter(convert) for topic, convert in chosen.items()}
+
+
+def _only(path: Path, topics: Mapping[str, str], wanted: str | None, types: tuple[str, ...]
+          ) -> str:
+    """Return the wanted topic if it is of a fitting type, or the only one that is."""
+    fitting = sorted(topic for topic, name in topics.items() if name in types)
+    if wanted is None:
+        if len(fitting) == 1:
+            return fitting[0]
+        raise RecordingError(f'{path}: expected one topic of {" or ".join(types)}; '
+                             f'found {", ".join(fitting) or "none"}')
+    if wanted not in topics:
+        raise RecordingError(
+            f'{path}: no topic {wanted!r}; it has {", ".join(sorted(topics)) or "none"}')
+    if wanted not in fitting:
+        raise RecordingError(
+            f'{path}: topic {wanted!r} is {topics[wanted]}; expected {" or ".join(types)}')
+    return wanted

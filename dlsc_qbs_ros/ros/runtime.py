@@ -1,0 +1,85 @@
+"""The life of a node's process: start, spin, a clean end on SIGINT and SIGTERM."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import Callable, Sequence
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+import rclpy.utilities
+
+from ..errors import ConfigError, DlscQbsError
+
+_WAKE_UP_S = 0.2
+
+
+class StopRequest:
+    """
+    SIGINT and SIGTERM as a flag, from construction on.
+
+    rclpy's own handlers invalidate the context at once, so that callbacks under way and the
+    teardown raise; with a flag both end in peace, however often a signal comes.
+    """
+
+    def __init__(self):
+        self.received = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._receive)
+
+    def _receive(self, *_) -> None:
+        self.received = True
+
+
+def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+    """
+    Make a node and spin it until SIGINT or SIGTERM; return the exit code of the process.
+
+    The node's `destroy_node` must give back all it holds and join its threads. An expected error
+    is one line on stderr and exit code 1.
+    """
+    return run_ros(lambda stop: _spin(make_node(), stop), args)
+
+
+def run_ros(work: Callable[[StopRequest], None], args: Sequence[str] | None = None) -> int:
+    """Run `work` with ROS initialised; return 0, or 1 after one line about an expected error."""
+    stop = StopRequest()
+    try:
+        _initialise(args)
+        work(stop)
+    except DlscQbsError as error:
+        print(f'error: {error}', file=sys.stderr)
+        return 1
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def without_ros_args(argv: Sequence[str]) -> list[str]:
+    """Return a command line, without the program's name, less what belongs to ROS."""
+    return rclpy.utilities.remove_ros_args(['', *argv])[1:]
+
+
+def _spin(node: Node, stop: StopRequest) -> None:
+    """Run the node's callbacks, one at a time, until a stop is requested."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    # Python handles a signal only when the executor comes back from waiting.
+    node.create_timer(_WAKE_UP_S, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    try:
+        while not stop.received:
+            executor.spin_once()
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+
+
+def _initialise(args: Sequence[str] | None) -> None:
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise ConfigError(' '.join(str(error).split())) from error

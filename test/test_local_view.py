@@ -1,0 +1,137 @@
+"""View cells are compared by cosine, and runs of them by the mean along the run."""
+
+import numpy as np
+import pytest
+
+from dlsc_qbs_ros.core.local_view import SequenceScore, unit, ViewCells
+
+
+def naive_score(rows, slack):
+    """Return the sequence score of the newest row, by the definition; -1 where no cell is."""
+    newest = rows[-1]
+    scores = []
+    for j in range(len(newest)):
+        total = newest[j]
+        for back in range(1, len(rows)):
+            row, best = rows[-1 - back], -1.0
+            for i in range(j - back - slack, j - back + slack + 1):
+                if 0 <= i < len(row):
+                    best = max(best, row[i])
+            total += best
+        scores.append(total / len(rows))
+    return scores
+
+
+# View cells
+
+def test_similarity_is_the_cosine_of_the_paper():
+    cells = ViewCells(2)
+    for code in ([3.0, 4.0], [0.0, 2.0], [-6.0, -8.0], [4.0, -3.0]):
+        cells.add(np.array(code, np.float32))
+    np.testing.assert_allclose(
+        cells.similarities(np.array([30.0, 40.0])), [1.0, 0.8, -1.0, 0.0], atol=1e-6)
+
+
+def test_cells_are_numbered_as_they_come():
+    cells = ViewCells(3)
+    assert len(cells) == 0
+    assert [cells.add(np.ones(3)) for _ in range(200)] == list(range(200))
+    assert len(cells) == 200
+    assert cells.codes.shape == (200, 3)
+
+
+def test_many_cells_keep_their_codes_while_the_book_grows():
+    codes = np.random.default_rng(0).normal(size=(500, 8))
+    cells = ViewCells(8)
+    for code in codes:
+        cells.add(code)
+    np.testing.assert_allclose(cells.codes, unit(codes), atol=1e-6)
+
+
+def test_an_empty_book_resembles_nothing():
+    assert ViewCells(4).similarities(np.ones(4)).shape == (0,)
+
+
+def test_a_code_of_nothing_resembles_nothing():
+    cells = ViewCells(3)
+    cells.add(np.zeros(3))
+    cells.add(np.ones(3))
+    np.testing.assert_array_equal(cells.similarities(np.zeros(3)), [0.0, 0.0])
+    np.testing.assert_allclose(cells.similarities(np.ones(3)), [0.0, 1.0], atol=1e-6)
+
+
+def test_a_new_book_takes_the_place_of_the_old_and_goes_on_growing():
+    cells = ViewCells(2)
+    for _ in range(3):
+        cells.add(np.array([1.0, 0.0]))
+    cells.replace(np.array([[0.0, 5.0], [2.0, 0.0], [0.0, 0.0]], np.float32))
+    assert cells.add(np.array([0.0, -1.0])) == 3
+    np.testing.assert_allclose(
+        cells.similarities(np.array([0.0, 1.0])), [1.0, 0.0, 0.0, -1.0], atol=1e-6)
+
+
+def test_units_have_length_1():
+    codes = np.random.default_rng(0).normal(size=(4, 5))
+    np.testing.assert_allclose(np.linalg.norm(unit(codes), axis=1), 1.0)
+    np.testing.assert_allclose(unit(codes)[1], codes[1] / np.linalg.norm(codes[1]))
+
+
+# Sequences
+
+@pytest.mark.parametrize('length, slack', [(1, 1), (2, 0), (3, 1), (5, 2), (12, 1)])
+@pytest.mark.parametrize('growth', [0, 1])
+def test_the_score_is_the_triple_loop(length, slack, growth):
+    rng = np.random.default_rng(length)
+    score, rows = SequenceScore(length, slack), []
+    for k in range(20):
+        rows = (rows + [rng.uniform(-1.0, 1.0, 7 + growth * k)])[-length:]
+        result = score.update(rows[-1])
+        if len(rows) < length:
+            assert result is None
+        else:
+            np.testing.assert_allclose(result, naive_score(rows, slack))
+
+
+def test_a_second_pass_in_step_scores_1_at_the_end_of_its_run():
+    score = SequenceScore(4, slack=0)
+    for k in range(10):
+        result = score.update(np.eye(10)[k])
+    assert result[9] == 1.0
+    assert (result[:9] < 0.3).all()
+
+
+@pytest.mark.parametrize('cells', [(3, 4, 6), (3, 5, 6)])
+def test_slack_forgives_one_cell_out_of_step(cells):
+    score = SequenceScore(3, slack=1)
+    for cell in cells:
+        result = score.update(np.eye(10)[cell])
+    assert result[6] == 1.0
+
+
+def test_without_slack_a_run_out_of_step_scores_less():
+    score = SequenceScore(3, slack=0)
+    for cell in (3, 4, 6):
+        result = score.update(np.eye(10)[cell])
+    assert result[6] < 0.7
+
+
+def test_a_run_that_would_start_before_the_first_cell_is_marked_down():
+    score = SequenceScore(3, slack=0)
+    for _ in range(3):
+        result = score.update(np.ones(5))
+    np.testing.assert_allclose(result, [-1 / 3, 1 / 3, 1.0, 1.0, 1.0])
+
+
+def test_a_view_that_does_not_continue_starts_a_run_of_its_own():
+    score = SequenceScore(2)
+    score.update(np.ones(4))
+    score.clear()
+    assert score.update(np.ones(4)) is None
+    assert score.update(np.ones(4)) is not None
+
+
+def test_similarities_are_left_as_they_were():
+    score, row = SequenceScore(2), np.linspace(0.0, 1.0, 5)
+    row.flags.writeable = False
+    score.update(row)
+    score.update(row)
