@@ -58,14 +58,17 @@ def expected_poses(encoded):
 class Graph:
     """Encoder, ratslam and recorder as processes, and what they recorded."""
 
-    def __init__(self, start, recording):
+    TOPICS = ('/pose', '/path', '/experience_map', '/code', '/view')
+
+    def __init__(self, start, observer, recording):
         ros_args = ['--ros-args', '--params-file', PROFILE]
         self.recording = recording
         self.nodes = [
             start('nodes.encoder_node', *ros_args, '-r', 'image:=/camera/image_raw'),
             start('nodes.ratslam_node', *ros_args, '-r', 'odom:=/odom'),
             start('nodes.recorder_node', *ros_args, '-p', f'recorder.output:={recording}',
-                  '-p', 'recorder.topics:=[/pose, /path, /experience_map, /code, /view]')]
+                  '-p', f'recorder.topics:=[{", ".join(self.TOPICS)}]')]
+        observer.spin_until(lambda: all(map(observer.node.count_subscribers, self.TOPICS)))
 
     def play(self, start, flight, rate):
         assert start('cli.replay', flight, '--rate', rate,
@@ -96,8 +99,8 @@ def xy(points):
 
 @pytest.mark.parametrize('rate', ['1', '5', 'max'])
 def test_the_live_graph_gives_what_the_pipeline_gives_at_any_rate(
-        start, tmp_path, flight, encoded, expected_poses, rate):
-    graph = Graph(start, tmp_path / 'recording')
+        start, observer, tmp_path, flight, encoded, expected_poses, rate):
+    graph = Graph(start, observer, tmp_path / 'recording')
     graph.play(start, flight, rate)
     assert graph.stop() == [0, 0, 0]
     poses, path, experience_map = graph.recorded()
@@ -119,7 +122,7 @@ def test_the_live_graph_gives_what_the_pipeline_gives_at_any_rate(
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_each_node_ends_within_two_seconds_in_mid_flight(start, tmp_path, flight, observer,
                                                          number):
-    graph = Graph(start, tmp_path / 'recording')
+    graph = Graph(start, observer, tmp_path / 'recording')
     poses = observer.collect(PoseWithCovarianceStamped, 'pose')
     start('cli.replay', flight)
     observer.spin_until(lambda: len(poses) > 20)
@@ -131,7 +134,7 @@ def test_each_node_ends_within_two_seconds_in_mid_flight(start, tmp_path, flight
 
 
 def test_a_late_subscriber_has_the_map(start, tmp_path, flight, observer):
-    graph = Graph(start, tmp_path / 'recording')
+    graph = Graph(start, observer, tmp_path / 'recording')
     graph.play(start, flight, 'max')
     maps = observer.collect(MarkerArray, 'experience_map', depth=1,
                             durability=DurabilityPolicy.TRANSIENT_LOCAL)
