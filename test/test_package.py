@@ -95,9 +95,9 @@ def test_a_launch_file_describes_itself(path):
     assert namespace['generate_launch_description']().entities
 
 
-def environment(home):
-    """Return nothing but a home for ROS's logs, or the sourced ROS 2 the package was built in."""
-    return dict(os.environ) if 'ROS_DISTRO' in os.environ else {'HOME': str(home)}
+def environment():
+    """Return nothing, or the sourced ROS 2 the package was built in."""
+    return dict(os.environ) if 'ROS_DISTRO' in os.environ else {}
 
 
 def run(home, name, *arguments):
@@ -105,7 +105,7 @@ def run(home, name, *arguments):
     if not BIN.is_dir():
         pytest.fail(f'{BIN} is missing: run `make build` first')
     return subprocess.run(
-        [BIN / name, *arguments], env=environment(home), cwd=home, timeout=60,
+        [BIN / name, *arguments], env=environment(), cwd=home, timeout=60,
         stdin=subprocess.DEVNULL, capture_output=True, text=True)
 
 

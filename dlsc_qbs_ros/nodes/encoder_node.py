@@ -20,6 +20,8 @@ from ..ros.qos import create_publisher, create_subscription, DICTIONARY, IMAGE_I
 from ..ros.runtime import run_node
 from ..ros.stamps import received_ns
 
+PROBLEMS = ('lost', 'refused_malformed', 'refused_out_of_order', 'ran_away')
+
 
 class EncoderNode(Node):
     """Feeds every image to the encoder and publishes what comes out, under the image's stamp."""
@@ -54,6 +56,7 @@ class EncoderNode(Node):
         self._publish(encoded)
         self._counts['encoded'] += 1
         self._counts['learned'] += encoded.learned
+        self._counts['ran_away'] += encoded.ran_away
         self._counts['latency_ns'] += time.time_ns() - received_ns(info)
 
     def _refuse(self, cause: str, error: DlscQbsError) -> None:
@@ -72,13 +75,12 @@ class EncoderNode(Node):
         new = self._counts - self._reported
         self._reported = self._counts.copy()
         problems = [f'{new[key]} {key.replace("_", " ")}'
-                    for key in ('lost', 'refused_malformed', 'refused_out_of_order') if new[key]]
+                    for key in PROBLEMS if new[key]]
         if not new['received']:
             problems.append('no images')
         encoded = new['encoded']
         values = {key: self._counts[key] for key in (
-            'received', 'encoded', 'learned', 'lost', 'refused_malformed',
-            'refused_out_of_order')}
+            'received', 'encoded', 'learned', *PROBLEMS)}
         values['rate_hz'] = encoded / PERIOD_S
         values['latency_ms'] = new['latency_ns'] * 1e-6 / encoded if encoded else 0.0
         values['gate_open_share'] = new['learned'] / encoded if encoded else 0.0

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
+import tempfile
 from typing import Callable, Sequence
 
 import rclpy
@@ -79,6 +81,9 @@ def _spin(node: Node, stop: StopRequest) -> None:
 
 
 def _initialise(args: Sequence[str] | None) -> None:
+    if not {'HOME', 'ROS_HOME', 'ROS_LOG_DIR'} & set(os.environ):
+        # A service of the system has no home, and rcl refuses to start without a place for logs.
+        os.environ['ROS_LOG_DIR'] = os.path.join(tempfile.gettempdir(), 'ros_log')
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:

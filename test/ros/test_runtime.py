@@ -5,7 +5,7 @@ import signal
 from diagnostic_msgs.msg import DiagnosticArray
 import pytest
 
-NODES = ['encoder_node', 'recorder_node']
+NODES = ['encoder_node', 'ratslam_node', 'recorder_node']
 
 
 @pytest.fixture
