@@ -36,9 +36,12 @@ class DictionaryLearner:
         self.codes_ = np.zeros((1, config.n_atoms))
 
     @property
-    def is_finite(self) -> bool:
-        """Whether learning has not run away."""
-        return bool(np.isfinite(self.gram_.sum() + self.codes_.sum()))
+    def is_stable(self) -> bool:
+        """Whether coding converges, eta_c < 2 / lambda_max(G): learning has not run away."""
+        limit = 2.0 / self._config.eta_c
+        if np.linalg.norm(self.gram_) < limit:  # a bound on lambda_max, at a fraction of its cost
+            return True
+        return bool(np.isfinite(self.gram_).all() and np.linalg.eigvalsh(self.gram_)[-1] < limit)
 
     def restart(self, atoms: np.ndarray) -> None:
         """Go on from these atoms (n_atoms, n_inputs) and zero codes."""

@@ -79,8 +79,9 @@ def pose_to_msg(estimate: PoseEstimate, frame_id: str) -> PoseWithCovarianceStam
     msg.header.frame_id = frame_id
     msg.pose.pose = _pose_to_msg(
         estimate.pose, odometry.z_m, odometry.roll_rad, odometry.pitch_rad)
-    position, yaw = estimate.position_sigma_m ** 2, estimate.yaw_sigma_rad ** 2
     unmeasured = UNMEASURED_VARIANCE
+    position, yaw = (min(sigma ** 2, unmeasured)
+                     for sigma in (estimate.position_sigma_m, estimate.yaw_sigma_rad))
     msg.pose.covariance = np.diag(
         [position, position, unmeasured, unmeasured, unmeasured, yaw]).ravel()
     return msg
