@@ -1,5 +1,6 @@
 """A small flight round a circle for the tests of the pipeline: quick, seeded, free of ROS."""
 
+from concurrent.futures import Future
 from math import cos, pi, sin
 
 import numpy as np
@@ -60,3 +61,21 @@ def events(seconds, seed=0):
     """Return frames and odometry in stamp order."""
     return sorted([*frames(seconds, seed), *odometry(seconds)],
                   key=lambda event: getattr(event, 'sample', event).stamp_ns)
+
+
+class LateExecutor:
+    """Does what is submitted when it is told to."""
+
+    def __init__(self):
+        self._tasks = []
+
+    def submit(self, task, *args):
+        """Note a task and return its future."""
+        self._tasks.append((Future(), task, args))
+        return self._tasks[-1][0]
+
+    def complete(self):
+        """Do all that was submitted."""
+        for future, task, args in self._tasks:
+            future.set_result(task(*args))
+        self._tasks.clear()

@@ -45,11 +45,12 @@ class Mapper:
         # Per view cell: where the pose cells stood, and how spent it is.
         self._cell_position = Rows(np.zeros((0, 3)))
         self._cell_decay = Rows(np.zeros(0))
-        # Per experience: its view cell, pose cell position, stamp and path at creation.
+        # Per experience: its view cell, pose cell position, time and path flown at creation.
         self._view_cell = Rows(np.zeros(0, np.int64))
         self._position = Rows(np.zeros((0, 3)))
-        self._born_s = Rows(np.zeros(0))
+        self._born_ns = Rows(np.zeros(0, np.int64))
         self._born_m = Rows(np.zeros(0))
+        self._time_ns = 0
         self._path_m = 0.0
         self.place: Place | None = None
         # Whether odometry leads from the current experience to here.
@@ -77,7 +78,7 @@ class Mapper:
         is_keyframe = self._is_keyframe(odometry)
         if is_keyframe:
             self._keyframe = odometry
-            self._view_event(odometry, code)
+            self._view_event(code)
         self.pose_cells.step(motion)
         np.maximum(self._cell_decay.values - self._pose_cell_config.restore,
                    self._pose_cell_config.active_decay, out=self._cell_decay.values)
@@ -106,9 +107,11 @@ class Mapper:
         """Carry the place along with the odometry; return the motion since the last code."""
         motion, seconds = IDENTITY, 0.0
         if self.odometry is not None:
+            elapsed_ns = odometry.stamp_ns - self.odometry.stamp_ns
+            self._time_ns += max(elapsed_ns, 0)  # a clock that falls back makes nothing younger
             if odometry.segment == self.odometry.segment:
                 motion = between(self.odometry.pose, odometry.pose)
-                seconds = (odometry.stamp_ns - self.odometry.stamp_ns) * 1e-9
+                seconds = elapsed_ns * 1e-9
             else:
                 self._drift.anchor(inf, inf)
                 self._is_joined = False
@@ -129,9 +132,9 @@ class Mapper:
                 >= self._config.keyframe_distance_m
                 or abs(motion.yaw_rad) >= self._config.keyframe_angle_rad)
 
-    def _view_event(self, odometry: OdometrySample, code: np.ndarray) -> None:
+    def _view_event(self, code: np.ndarray) -> None:
         """Match the code to an old view cell and inject, or make a new one."""
-        matched = self._match(odometry, self.view_cells.similarities(code))
+        matched = self._match(self.view_cells.similarities(code))
         if matched is None:
             self._active_cell = self.view_cells.add(code)
             self._cell_position.append(self.pose_cells.position())
@@ -144,12 +147,12 @@ class Mapper:
         if energy > 0.0:
             self.pose_cells.inject(self._cell_position.values[matched], energy)
 
-    def _match(self, odometry: OdometrySample, similarities: np.ndarray) -> int | None:
+    def _match(self, similarities: np.ndarray) -> int | None:
         """Return the view cell that the last run of views ends in, if odometry allows one."""
         score = self._sequence.update(similarities)
         if score is None or self.place is None:
             return None
-        distance_m = self._gated_distance(odometry)
+        distance_m = self._gated_distance()
         # Near by chance is not tracking: odometry must be sure enough to tell.
         is_tracking = self.sigmas()[0] <= self._config.tracking_distance_m
         needed = np.where(is_tracking & (distance_m <= self._config.tracking_distance_m),
@@ -157,7 +160,7 @@ class Mapper:
         candidates = np.flatnonzero(np.isfinite(distance_m) & (score >= needed))
         return int(candidates[np.argmax(score[candidates])]) if len(candidates) else None
 
-    def _gated_distance(self, odometry: OdometrySample) -> np.ndarray:
+    def _gated_distance(self) -> np.ndarray:
         """
         Return each view cell's distance from the estimated position, shape (n_cells,).
 
@@ -172,7 +175,7 @@ class Mapper:
         allowed = (
             (offset_m <= reach * hypot(sigma_m, self._config.match_position_sigma_m))
             & (turn_rad <= reach * hypot(sigma_rad, self._config.match_yaw_sigma_rad))
-            & (odometry.stamp_ns * 1e-9 - self._born_s.values >= self._config.min_age_s)
+            & (self._time_ns - self._born_ns.values >= self._config.min_age_s * 1e9)
             & (self._path_m - self._born_m.values >= self._config.min_path_m))
         distance_m = np.full(len(self.view_cells), np.inf)
         np.minimum.at(distance_m, self._view_cell.values[allowed], offset_m[allowed])
@@ -194,7 +197,7 @@ class Mapper:
         experience = self.map.add_experience(pose)
         self._view_cell.append(self._active_cell)
         self._position.append(position)
-        self._born_s.append(odometry.stamp_ns * 1e-9)
+        self._born_ns.append(self._time_ns)
         self._born_m.append(self._path_m)
         if self._is_joined:
             self.map.add_link(self.place.experience, experience, self.place.offset, False)
