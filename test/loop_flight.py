@@ -22,8 +22,9 @@ CONFIG = Config().override({
 def pose_at(time_s, yaw_bias_rad_s=0.0):
     """Return where the flight is; a bias bends what odometry believes."""
     rate = SPEED_M_S / RADIUS_M + yaw_bias_rad_s
-    return Pose2(SPEED_M_S / rate * sin(rate * time_s), SPEED_M_S / rate * (1 - cos(rate * time_s)),
-                 (rate * time_s + pi) % (2 * pi) - pi)
+    yaw_rad, radius_m = rate * time_s, SPEED_M_S / rate
+    return Pose2(radius_m * sin(yaw_rad), radius_m * (1 - cos(yaw_rad)),
+                 (yaw_rad + pi) % (2 * pi) - pi)
 
 
 def panorama(seed):

@@ -71,6 +71,8 @@ def test_an_override_replaces_what_it_names_and_nothing_else():
     differing = {key for key, value in changed.flat().items() if value != Config().flat()[key]}
     assert differing == {'encoder.n_atoms', 'view.width'}
     assert Config().encoder.n_atoms == 64
+    again = changed.override({'encoder.seed': 5})
+    assert (again.encoder.n_atoms, again.encoder.seed) == (32, 5)
 
 
 def test_a_flat_configuration_makes_the_same_configuration_again():

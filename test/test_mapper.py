@@ -1,0 +1,312 @@
+"""RatSLAM's three parts together, in a made-up world where every place has a code of its own."""
+
+from functools import lru_cache
+from math import pi
+
+import numpy as np
+import pytest
+
+from dlsc_qbs_ros.config import Config
+from dlsc_qbs_ros.core.geometry import compose
+from dlsc_qbs_ros.core.types import IDENTITY, OdometrySample, Pose2
+from dlsc_qbs_ros.pipeline.mapper import Mapper
+
+CONFIG = Config().override({
+    'ratslam.sequence_length': 6, 'ratslam.threshold': 0.9, 'ratslam.tracking_threshold': 0.8})
+PERIOD_NS = 100_000_000
+SIDE_M = 8.0
+STEP = Pose2(0.1, 0.0, 0.0)
+SIDE = [STEP] * round(SIDE_M / STEP.x_m)
+CORNER = [Pose2(0.0, 0.0, pi / 20)] * 10
+LAP = (SIDE + CORNER) * 4
+
+
+def codes_along(n, seed=0, smooth=4.0):
+    """Return n unit codes, ring-shaped, that change slowly from one to the next."""
+    rng = np.random.default_rng(seed)
+    spectrum = np.fft.rfft(rng.normal(size=(n, 64)), axis=0)
+    spectrum *= np.exp(-0.5 * (2 * pi * smooth * np.fft.rfftfreq(n)[:, None]) ** 2)
+    codes = np.fft.irfft(spectrum, n, axis=0)
+    return (codes / np.linalg.norm(codes, axis=1, keepdims=True)).astype(np.float32)
+
+
+def drifting(motions, scale=1.02, yaw_bias_rad=0.0008):
+    """Return the motions as odometry measures them."""
+    return [Pose2(scale * m.x_m, scale * m.y_m, m.yaw_rad + yaw_bias_rad) for m in motions]
+
+
+class Robot:
+    """Drives motions, feeds a mapper, and keeps the truth beside what the mapper says."""
+
+    def __init__(self, **changes):
+        self.mapper = Mapper(CONFIG.override(changes))
+        self.truth = self._odometry = IDENTITY
+        self._stamp_ns = 1_700_000_000_000_000_000
+        self._segment = 0
+        self.born = []
+        self.poses, self.truths, self.odometries, self.sizes = [], [], [], []
+
+    def see(self, code):
+        self.mapper.update(
+            OdometrySample(self._stamp_ns, self._odometry, segment=self._segment), code)
+        self.born += [self.truth] * (len(self.mapper.map) - len(self.born))
+        self.poses.append(self.mapper.pose())
+        self.truths.append(self.truth)
+        self.odometries.append(self._odometry)
+        self.sizes.append(len(self.mapper.map))
+
+    def drive(self, motions, codes, measured=None):
+        for motion, seen, code in zip(motions, measured or drifting(motions), codes):
+            self._stamp_ns += PERIOD_NS
+            self.truth = compose(self.truth, motion)
+            self._odometry = compose(self._odometry, seen)
+            self.see(code)
+
+    def reset_odometry(self):
+        self._segment += 1
+        self._odometry = Pose2(50.0, -20.0, 2.0)
+
+    def errors(self, poses, last):
+        """Return the mean distance to the truth over the last steps."""
+        difference = np.array(poses[-last:])[:, :2] - np.array(self.truths[-last:])[:, :2]
+        return np.mean(np.hypot(*difference.T))
+
+    def closure_gaps(self):
+        """Return how far apart the experiences that closures join truly are, in metres."""
+        graph = self.mapper.map
+        ends = np.array(self.born)[graph.links[graph.is_closure], :2]
+        return np.hypot(*(ends[:, 0] - ends[:, 1]).T)
+
+
+@lru_cache(maxsize=None)
+def three_laps():
+    robot, codes = Robot(), codes_along(len(LAP))
+    for _ in range(3):
+        robot.drive(LAP, codes)
+    return robot
+
+
+# Laps
+
+def test_the_loop_is_closed_where_it_truly_closes():
+    gaps = three_laps().closure_gaps()
+    assert len(gaps) > 0
+    assert gaps.max() < 0.8  # a link leads from the last experience, 0.25 m or more behind
+
+
+def test_the_map_holds_the_robot_to_the_truth_where_odometry_drifts_away():
+    robot = three_laps()
+    lap = len(LAP)
+    assert robot.errors(robot.odometries, lap) > 2.0
+    assert robot.errors(robot.poses, lap) < 0.5 * robot.errors(robot.odometries, lap)
+
+
+def test_experiences_grow_with_the_place_and_not_with_time():
+    sizes, lap = three_laps().sizes, len(LAP)
+    first, second, third = sizes[lap - 1], sizes[2 * lap - 1], sizes[-1]
+    assert first > 100
+    assert second - first < 0.2 * first
+    assert third - second <= 0.02 * first
+
+
+def test_a_view_cell_is_stored_for_an_experience_and_no_more():
+    mapper = three_laps().mapper
+    assert len(mapper.view_cells) <= len(mapper.map)
+
+
+def test_a_drone_that_hovers_adds_nothing():
+    robot, codes = Robot(), codes_along(len(LAP))
+    robot.drive(LAP[:100], codes)
+    before = (len(robot.mapper.map), len(robot.mapper.view_cells), len(robot.mapper.map.links))
+    pose = robot.mapper.pose()
+    noise = np.random.default_rng(0).normal(0.0, 0.01, (500, 3)).tolist()
+    still = [Pose2(*row) for row in (np.array(noise[1:]) - noise[:-1]).tolist()]
+    robot.drive([IDENTITY] * len(still), codes_along(len(still), seed=8), measured=still)
+    assert before == (
+        len(robot.mapper.map), len(robot.mapper.view_cells), len(robot.mapper.map.links))
+    assert robot.mapper.pose()[:2] == pytest.approx(pose[:2], abs=0.1)
+
+
+def test_without_matches_the_pose_is_that_of_the_odometry():
+    robot = Robot(**{'ratslam.min_age_s': 1e5})
+    codes = codes_along(len(LAP))
+    for _ in range(2):
+        robot.drive(LAP, codes)
+    assert not robot.mapper.map.is_closure.any()
+    np.testing.assert_allclose(np.array(robot.poses)[:, :2],
+                               np.array(robot.odometries)[:, :2], atol=1e-6)
+    correction = robot.mapper.map_T_odom()
+    assert correction == pytest.approx(IDENTITY, abs=1e-6)
+
+
+def test_the_first_pose_is_that_of_the_odometry_and_nothing_is_uncertain():
+    robot = Robot()
+    robot.reset_odometry()
+    robot.see(codes_along(10)[0])
+    assert robot.mapper.pose() == pytest.approx(Pose2(50.0, -20.0, 2.0))
+    assert robot.mapper.sigmas() == (0.0, 0.0)
+
+
+@pytest.mark.parametrize('length', [1, 2])
+def test_the_shortest_runs_of_views_work_too(length):
+    robot, codes = Robot(**{'ratslam.sequence_length': length}), codes_along(len(LAP))
+    for _ in range(2):
+        robot.drive(LAP, codes)
+    assert robot.closure_gaps().max() < 0.8
+
+
+# Keyframes
+
+@pytest.mark.parametrize('motion, n_steps, expected', [
+    (Pose2(0.1, 0.0, 0.0), 30, 11), (Pose2(0.0, -0.1, 0.0), 30, 11),
+    (Pose2(0.0, 0.0, 0.1), 20, 11), (Pose2(0.0, 0.0, -0.05), 20, 6), (IDENTITY, 20, 1)])
+def test_a_view_is_stored_after_some_motion(motion, n_steps, expected):
+    """At least 0.25 m or 0.2 rad: each third step of 0.1 m, each second of 0.1 rad."""
+    robot = Robot(**{'ratslam.keyframe_angle_rad': 0.199})
+    codes = codes_along(50, smooth=0.0)
+    robot.see(codes[0])
+    robot.drive([motion] * n_steps, codes[1:], measured=[motion] * n_steps)
+    assert len(robot.mapper.view_cells) == len(robot.mapper.map) == expected
+
+
+def test_climbing_counts_as_motion():
+    mapper, codes = Mapper(CONFIG), codes_along(20, smooth=0.0)
+    made = [mapper.update(OdometrySample(k * PERIOD_NS, IDENTITY, z_m=0.1 * k), codes[k])
+            for k in range(7)]
+    assert made == [True, False, False, True, False, False, True]
+
+
+# What is no closure
+
+def corridor(**changes):
+    """Return a robot that came out of 15 m of corridor into 15 m that look the same."""
+    robot, codes = Robot(**changes), codes_along(1000, seed=3)[:600]
+    codes[400:550] = codes[:150]
+    robot.drive([STEP] * 600, codes)
+    return robot
+
+
+def test_a_look_alike_outside_the_reach_of_the_odometry_is_another_place():
+    assert not corridor().mapper.map.is_closure.any()
+
+
+def test_the_same_look_alike_would_be_taken_if_odometry_allowed_it():
+    robot = corridor(**{'ratslam.gate_sigmas': 100.0})
+    assert robot.closure_gaps().max() > 10.0
+
+
+@pytest.mark.parametrize('changes', [{'ratslam.min_age_s': 100.0}, {'ratslam.min_path_m': 60.0}])
+def test_a_place_must_be_old_enough_to_be_met_again(changes):
+    robot, codes = Robot(**changes), codes_along(len(LAP))
+    robot.drive(LAP, codes)
+    robot.drive(LAP[:150], codes)
+    assert not robot.mapper.map.is_closure.any()
+
+
+def test_a_place_seen_the_other_way_round_is_not_met():
+    """Codes of the way out come back in order while the drone looks the other way."""
+    robot, codes = Robot(), codes_along(1000, seed=4)
+    robot.drive([STEP] * 150, codes[:150])
+    robot.drive(CORNER * 2, codes[500:520])
+    robot.drive([STEP] * 150, codes[:150])
+    assert not robot.mapper.map.is_closure.any()
+
+
+def test_noise_closes_nothing():
+    robot = Robot()
+    rng = np.random.default_rng(0)
+    for _ in range(2):
+        robot.drive(LAP, rng.normal(size=(len(LAP), 64)).astype(np.float32))
+    assert not robot.mapper.map.is_closure.any()
+
+
+# Segments
+
+def test_no_link_spans_a_reset_of_the_odometry():
+    robot, codes = Robot(), codes_along(1000, seed=5)
+    robot.drive([STEP] * 100, codes[:100])
+    n, before = len(robot.mapper.map), robot.mapper.pose()
+    robot.reset_odometry()
+    robot.see(codes[100])
+    assert robot.mapper.pose() == pytest.approx(before)
+    robot.drive([STEP] * 100, codes[101:])
+    is_new = robot.mapper.map.links >= n
+    assert (is_new[:, 0] == is_new[:, 1]).all()
+    assert is_new.any() and not is_new.all()
+
+
+def test_after_a_reset_nobody_knows_where_the_robot_is():
+    robot, codes = Robot(), codes_along(1000, seed=5)
+    robot.drive([STEP] * 100, codes[:100])
+    robot.reset_odometry()
+    robot.see(codes[100])
+    assert robot.mapper.sigmas() == (np.inf, np.inf)
+
+
+@pytest.mark.parametrize('length', [1, 6])
+def test_a_robot_is_found_again_after_a_reset_by_what_it_sees(length):
+    robot, codes = Robot(**{'ratslam.sequence_length': length}), codes_along(len(LAP))
+    robot.drive(LAP, codes)
+    n = len(robot.mapper.map)
+    robot.reset_odometry()
+    robot.drive(LAP[:150], codes)
+    assert robot.errors(robot.poses, 50) < 1.0
+    assert np.isfinite(robot.mapper.map.poses).all()
+    links, is_closure = robot.mapper.map.links, robot.mapper.map.is_closure
+    crossing = (links < n).any(axis=1) & (links >= n).any(axis=1)
+    assert is_closure[crossing].all()
+
+
+def test_a_place_stays_old_when_the_clock_falls_back():
+    robot, codes = Robot(), codes_along(len(LAP))
+    robot.drive(LAP, codes)
+    robot._stamp_ns -= 10**12
+    robot.reset_odometry()
+    robot.drive(LAP[:150], codes)
+    assert robot.mapper.map.is_closure.any()
+
+
+# Injection
+
+def test_a_view_met_over_and_over_stops_injecting_until_it_has_rested(monkeypatch):
+    """Power (30 - exp(1.2 decay)) / 30: 0.89 fresh, 0.63 after one match, none after two."""
+    energies = []
+    robot = Robot(**{
+        'ratslam.sequence_length': 1, 'ratslam.min_age_s': 0.0, 'ratslam.min_path_m': 0.0,
+        'pose_cells.restore': 0.05, 'pose_cells.injection': 1.0})
+    inject = robot.mapper.pose_cells.inject
+    monkeypatch.setattr(robot.mapper.pose_cells, 'inject', lambda position, energy: (
+        energies.append(energy), inject(position, energy)))
+    turn = Pose2(0.0, 0.0, 0.21)
+    code = codes_along(10)[0]
+    robot.see(code)
+    for k in range(8):
+        motion = [turn if k % 2 else Pose2(0.0, 0.0, -0.21)]
+        robot.drive(motion, [code], measured=motion)
+    assert energies[:2] == pytest.approx(
+        [(30 - np.exp(1.2 * decay)) / 30 for decay in (1.0, 1.95)])
+    assert len(energies) == 2
+    robot.drive([IDENTITY] * 200, [code] * 200, measured=[IDENTITY] * 200)
+    robot.drive([turn], [code], measured=[turn])
+    assert energies[2:] == pytest.approx([(30 - np.exp(1.2)) / 30])
+
+
+# Code books
+
+def test_a_new_code_book_is_matched_by_new_codes():
+    """Half-way all codes are turned in their space; the book turns with them."""
+    rotation, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(64, 64)))
+    robot, codes = Robot(), codes_along(len(LAP))
+    robot.drive(LAP, codes)
+    robot.mapper.replace_codes(robot.mapper.view_cells.codes @ rotation)
+    robot.drive(LAP, codes @ rotation)
+    assert robot.mapper.map.is_closure.any()
+    assert robot.closure_gaps().max() < 0.8
+
+
+def test_an_old_code_book_is_not_matched_by_new_codes():
+    rotation, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(64, 64)))
+    robot, codes = Robot(), codes_along(len(LAP))
+    robot.drive(LAP, codes)
+    robot.drive(LAP, codes @ rotation)
+    assert not robot.mapper.map.is_closure.any()
