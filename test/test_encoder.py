@@ -115,6 +115,7 @@ def test_without_learning_there_is_one_epoch():
 def test_in_paper_mode_codes_come_from_the_live_dictionary_and_nothing_else_goes_out():
     for result in encoded(**{'encoder.mode': 'paper'}):
         assert (result.dictionary, result.code.dictionary_ns, result.epoch) == (None, None, 0)
+        assert result.code.values.dtype == np.float32
 
 
 def test_the_mode_changes_codes_but_not_what_is_learned():

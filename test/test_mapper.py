@@ -257,6 +257,30 @@ def test_a_robot_is_found_again_after_a_reset_by_what_it_sees(length):
     assert is_closure[crossing].all()
 
 
+def test_a_robot_must_see_a_whole_run_of_views_after_a_reset():
+    robot, codes = Robot(), codes_along(len(LAP))
+    robot.drive(LAP, codes)
+    robot.drive(LAP[:60], codes)
+    robot.reset_odometry()
+    robot.drive(LAP[60:70], codes[60:])
+    assert robot.mapper.sigmas()[0] == np.inf
+
+
+def test_a_match_right_after_a_reset_moves_the_robot_without_a_link():
+    """It is as sure of the place as a match can be; what follows is linked to that place."""
+    robot, codes = Robot(**{'ratslam.sequence_length': 1}), codes_along(len(LAP))
+    robot.drive(LAP[:150], codes)
+    n, links = len(robot.mapper.map), robot.mapper.map.links.copy()
+    robot.reset_odometry()
+    robot.see(codes[0])
+    assert robot.mapper.place.experience == 0
+    assert robot.mapper.pose() == pytest.approx(robot.mapper.map.pose(0))
+    assert robot.mapper.sigmas() == pytest.approx((0.3, 0.1))
+    np.testing.assert_array_equal(robot.mapper.map.links, links)
+    robot.drive([STEP] * 5, codes_along(100, seed=7))
+    assert robot.mapper.map.links[len(links):].tolist() == [[0, n]]
+
+
 def test_a_place_stays_old_when_the_clock_falls_back():
     robot, codes = Robot(), codes_along(len(LAP))
     robot.drive(LAP, codes)
@@ -264,6 +288,37 @@ def test_a_place_stays_old_when_the_clock_falls_back():
     robot.reset_odometry()
     robot.drive(LAP[:150], codes)
     assert robot.mapper.map.is_closure.any()
+
+
+# What a match is worth
+
+def test_a_match_that_says_nothing_of_the_pose_leaves_the_map_to_the_odometry():
+    robot, codes = Robot(**{
+        'ratslam.match_position_sigma_m': 100.0, 'ratslam.match_yaw_sigma_rad': 6.0,
+        'odometry.yaw_bias_rad_s': 1e-3, 'odometry.yaw_noise': 1e-3}), codes_along(len(LAP))
+    robot.drive(LAP + LAP[:150], np.concatenate([codes, codes]))
+    assert robot.mapper.map.is_closure.any()
+    np.testing.assert_allclose(np.array(robot.poses)[:, :2],
+                               np.array(robot.odometries)[:, :2], atol=0.1)
+
+
+def test_a_match_that_knows_the_pose_puts_the_robot_where_the_place_is():
+    robot, codes = Robot(**{
+        'ratslam.match_position_sigma_m': 0.01, 'ratslam.match_yaw_sigma_rad': 0.01,
+        'ratslam.gate_sigmas': 100.0}), codes_along(len(LAP))
+    robot.drive(LAP + LAP[:150], np.concatenate([codes, codes]))
+    assert robot.errors(robot.odometries, 50) > 1.0
+    assert robot.errors(robot.poses, 50) < 0.5
+
+
+def test_the_packet_of_the_pose_cells_goes_with_the_odometry():
+    robot = Robot()
+    robot.see(codes_along(100)[0])
+    start = robot.mapper.pose_cells.position()
+    motions = [Pose2(0.5, 0.0, 0.0)] * 10
+    robot.drive(motions, codes_along(100), measured=motions)
+    moved = robot.mapper.pose_cells.distance(robot.mapper.pose_cells.position(), start)
+    assert moved == pytest.approx(5.0, abs=0.5)
 
 
 # Injection

@@ -5,7 +5,7 @@ from math import cos, nan, pi, sin
 import pytest
 
 from dlsc_qbs_ros.config import OdometryConfig
-from dlsc_qbs_ros.core.types import IDENTITY, OdometrySample, Pose2, RawOdometry
+from dlsc_qbs_ros.core.types import OdometrySample, Pose2, RawOdometry
 from dlsc_qbs_ros.pipeline.odometry import OdometryHistory, OdometryNormaliser
 
 MS = 1_000_000
@@ -193,7 +193,3 @@ def test_half_a_minute_is_kept_and_not_for_ever():
     assert at(made, newest_ms - 29_990).pose.x_m == pytest.approx(4999 - 29_990 / 20)
     assert at(made, 0) is None
     assert at(made, newest_ms - 40_000) is None
-
-
-def test_the_pose_of_rest_is_the_identity():
-    assert at(history(sample(0), sample(20)), 10).pose == IDENTITY

@@ -245,6 +245,16 @@ def test_a_pose_waits_only_once_the_next_code_is_due():
     assert ratslam.counts['poses_ahead_of_codes'] == 0
 
 
+def test_a_pose_at_the_stamp_of_a_code_waits_for_it():
+    ratslam = started()
+    ratslam.add_code(code(0.1), 10.0)
+    ratslam.add_odometry(sample(0.1), 10.0)
+    assert ratslam.advance(10.0) == []
+    ratslam.add_view(view(0.1))
+    assert poses_s(ratslam.advance(10.0)) == [0.1]
+    assert ratslam.counts['codes_used'] == 2
+
+
 def test_when_the_encoder_dies_poses_wait_once_and_then_flow_at_once():
     ratslam = started()
     ratslam.add_odometry(sample(0.1), 10.0)
@@ -362,6 +372,10 @@ def test_views_that_nobody_asks_for_do_not_pile_up():
     for k in range(RatSlam.MAX_VIEWS + 50):
         ratslam.add_view(view(1.0 + 0.1 * k))
     assert ratslam.counts['views_without_code'] == 50
+    for event in (sample(9.0), code(1.0), code(6.0)):
+        add(ratslam, event)
+    ratslam.advance(inf)
+    assert (ratslam.counts['codes_without_view'], ratslam.counts['codes_used']) == (1, 2)
 
 
 # A clock that starts again
@@ -381,6 +395,17 @@ def test_a_flight_played_again_goes_on_in_the_same_map():
     crossing = (ratslam.mapper.map.links < n).any(axis=1) & (
         ratslam.mapper.map.links >= n).any(axis=1)
     assert ratslam.mapper.map.is_closure[crossing].all()
+
+
+def test_a_code_from_before_the_clock_fell_back_does_not_hold_up_those_after_it():
+    ratslam = started(sample(50.0), *live_codes([50.0]))
+    ratslam.add_odometry(sample(10.0, segment=1), 40.0)
+    ratslam.add_odometry(sample(10.5, segment=1), 40.0)
+    for event in live_codes([50.1, 10.2]):
+        add(ratslam, event, 40.0)
+    used = ratslam.counts['codes_used']
+    ratslam.advance(40.0)
+    assert ratslam.counts['codes_used'] == used + 1
 
 
 def test_poses_flow_again_when_the_clock_falls_back():

@@ -81,6 +81,13 @@ def test_every_frame_and_sample_is_accounted_for():
     assert 0 < counts['learning_frames'] < counts['frames']
 
 
+def test_codes_that_no_odometry_follows_are_given_up_at_the_end():
+    flight = sorted([*frames(2.0), *odometry(1.0)],
+                    key=lambda event: getattr(event, 'sample', event).stamp_ns)
+    counts = run(flight, CONFIG).counts
+    assert (counts['codes_used'], counts['codes_without_odometry']) == (10, 10)
+
+
 def test_encoded_events_keep_their_order_and_a_dictionary_goes_before_its_code():
     kinds = encode(events(2.0), CONFIG).events
     first = [type(event) for event in kinds if not isinstance(event, OdometrySample)][:5]
