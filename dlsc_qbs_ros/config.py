@@ -121,7 +121,8 @@ class OdometryConfig(Section):
     use_twist: bool = parameter(
         False, 'integrate the recorded twist instead of differencing poses')
     max_gap_s: float = parameter(
-        2.0, 'a longer silence starts a new segment', unit='s', bounds=(0.01, 3600.0))
+        2.0, 'with use_twist, a longer silence starts a new segment', unit='s',
+        bounds=(0.01, 3600.0))
     max_speed_m_s: float = parameter(
         50.0, 'a faster step is a jump and starts a new segment', unit='m/s',
         bounds=(0.1, 1000.0))
@@ -184,7 +185,7 @@ class PoseCellsConfig(Section):
     size_xy: int = parameter(21, 'cells along x and y', bounds=(8, 200))
     cell_size_m: float = parameter(1.0, 'edge of a cell', unit='m', bounds=(0.001, 1e3))
     injection: float = parameter(
-        0.6, 'activity that a fresh view injects', bounds=(0.0, 100.0))
+        0.3, 'activity that a fresh view injects', bounds=(0.0, 100.0))
     active_decay: float = parameter(
         1.0, 'what a view loses of its power at each match', bounds=(0.0, 100.0))
     restore: float = parameter(
@@ -268,10 +269,13 @@ def load_profile(path: Path) -> dict[str, Any]:
             raise ConfigError(f'{path}: {node!r} holds no ros__parameters')
         values.update(_flatten(_mapping(path, parameters)))
     return {key: _from_yaml(key, value) for key, value in values.items()
-            if not key.startswith(ROS_OWN_PARAMETERS)}
+            if not is_ros_parameter(key)}
 
 
-ROS_OWN_PARAMETERS = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
+def is_ros_parameter(key: str) -> bool:
+    """Whether a parameter is one that rclpy declares on every node."""
+    return key in ('use_sim_time', 'start_type_description_service') or key.startswith(
+        'qos_overrides.')
 
 
 def _mapping(path, value) -> Mapping:

@@ -112,13 +112,25 @@ def test_an_empty_book_swaps_to_no_codes():
     assert book.swap(5).shape == (0, 20)
 
 
-def test_dictionaries_that_were_passed_over_are_forgotten_and_later_ones_kept():
+def test_the_last_dictionaries_are_remembered_and_no_more():
     book = book_with(1)
-    for stamp_ns in (5, 6, 7):
+    for stamp_ns in range(1, 9):
+        book.add_dictionary(dictionary(stamp_ns, seed=stamp_ns))
+    assert [book.missing(stamp_ns) for stamp_ns in range(1, 9)] == [
+        'dictionary'] * 3 + [None] * CodeBook.KEPT
+
+
+def test_an_older_dictionary_comes_back_in_force_with_the_views_since():
+    book = book_with(2)
+    for stamp_ns in (5, 6):
         book.add_dictionary(dictionary(stamp_ns, seed=stamp_ns))
     book.swap(6)
-    assert (book.missing(5), book.missing(6), book.missing(7)) == (
-        'dictionary', 'dictionary', None)
+    more = views(3, seed=9)
+    for view in more:
+        book.add_view(view)
+    np.testing.assert_array_equal(
+        book.swap(5), Coder(dictionary(5, seed=5), CONFIG).encode_views([*views(2), *more]))
+    assert book.is_current(5) and not book.is_current(6)
 
 
 def test_another_dictionary_by_the_name_of_that_in_force_takes_its_place():

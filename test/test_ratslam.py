@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from math import inf
+from math import cos, inf, sin
 
 from loop_flight import CONFIG, events, LAP_S, LateExecutor, pose_at, stamp_ns
 import numpy as np
 import pytest
 
-from dlsc_qbs_ros.core.geometry import wrap_angle
+from dlsc_qbs_ros.core.geometry import between, wrap_angle
 from dlsc_qbs_ros.core.types import Code, Dictionary, OdometrySample, Pose2, View
 from dlsc_qbs_ros.pipeline.ratslam import RatSlam
 from dlsc_qbs_ros.pipeline.runner import encode
@@ -83,7 +83,7 @@ def assert_same_result(one, other):
 def test_the_flight_closes_its_loop_and_changes_its_dictionary():
     ratslam, poses = fly(flight())
     assert ratslam.mapper.map.is_closure.any()
-    assert ratslam.counts['epochs'] > 5
+    assert ratslam.counts['code_books'] > 5
     assert ratslam.counts['codes_used'] > 190
     assert ratslam.counts['code_mismatches'] == 0
     corrected = np.hypot(*np.subtract(poses[-1].pose, poses[-1].odometry.pose)[:2])
@@ -292,9 +292,10 @@ def test_a_pose_is_the_correction_of_the_map_after_the_odometry():
 
 # Sampling
 
-@pytest.mark.parametrize('rate_hz, used_hz', [(10, 10), (20, 10), (30, 10), (100, 12.5), (4, 4)])
+@pytest.mark.parametrize('rate_hz, used_hz', [
+    (10, 10), (20, 10), (25, 10), (30, 10), (60, 10), (100, 10), (4, 4)])
 def test_of_a_fast_camera_a_code_each_period_is_used(rate_hz, used_hz):
-    """Whole frames only, and a quarter of a period early at most."""
+    """Frames come whole; on average the period is kept."""
     times_s = np.arange(0.0, 4.0, 1 / rate_hz).tolist()
     ratslam = RatSlam(CONFIG)
     for event in [sample(0.0), sample(5.0), *live_codes(times_s)]:
@@ -355,7 +356,11 @@ def test_codes_of_a_live_dictionary_are_not_checked():
     (Dictionary(stamp_ns(0.1), np.zeros((8, N_PIXELS), np.float32)),
      'dictionaries_of_another_shape'),
     (View(stamp_ns(0.1), np.zeros((16, 12), np.uint8)), 'views_of_another_shape'),
+    (Dictionary(stamp_ns(0.1), np.zeros((16, N_PIXELS), np.float32)), 'dictionaries_unusable'),
+    (Dictionary(stamp_ns(0.1), np.full((16, N_PIXELS), 1e25, np.float32)),
+     'dictionaries_unusable'),
     (Code(stamp_ns(0.1), np.zeros(15, np.float32), None), 'codes_of_another_length'),
+    (Code(stamp_ns(0.1), np.full(16, np.nan, np.float32), None), 'codes_not_finite'),
     (code(0.0), 'codes_out_of_order'),
     (code(-0.5), 'codes_out_of_order'),
 ])
@@ -388,7 +393,7 @@ def test_a_flight_played_again_goes_on_in_the_same_map():
     for event in again:
         add(ratslam, event)
         ratslam.advance(0.0)
-    assert ratslam.counts['clock_jumps'] >= 1
+    assert ratslam.counts['codes_clock_jumps'] == 1
     assert ratslam.counts['codes_used'] > 380
     assert len(ratslam.mapper.map) < 2 * n
     assert np.isfinite(ratslam.mapper.map.poses).all()
@@ -413,7 +418,47 @@ def test_poses_flow_again_when_the_clock_falls_back():
     ratslam.advance(inf)
     ratslam.add_odometry(sample(10.0, segment=1), 40.0)
     assert poses_s(ratslam.advance(40.0)) == [10.0]
-    assert ratslam.counts['clock_jumps'] == 1
+
+
+def test_codes_that_a_clock_jump_leaves_waiting_are_counted():
+    ratslam = started(sample(50.0), *live_codes([50.1, 50.2]))
+    ratslam.add_odometry(sample(10.0, segment=1), 40.0)
+    assert ratslam.counts['codes_before_clock_jump'] == 2
+
+
+def test_a_camera_whose_clock_falls_back_does_not_end_the_node():
+    ratslam = started(*(sample(t / 10) for t in range(1, 60)), *live_codes([4.0, 4.2, 4.4]))
+    for event in live_codes([2.2]):
+        add(ratslam, event)
+    ratslam.advance(0.0)
+    assert ratslam.counts['codes_clock_jumps'] == 1
+    add(ratslam, sample(6.0))
+    ratslam.advance(100.0)
+    assert ratslam.counts['codes_before_odometry'] == 1
+
+
+def test_poses_go_on_from_where_they_were_when_odometry_is_reset():
+    """The new segment starts 50 m away; the robot does not."""
+    moved = replace(sample(1.1), pose=Pose2(-50.0, 3.0, 1.0), segment=1)
+    ahead = Pose2(-50.0 + cos(1.0), 3.0 + sin(1.0), 1.0)
+    further = replace(moved, stamp_ns=stamp_ns(1.2), pose=ahead)
+    ratslam = started(sample(1.0), moved, further)
+    before, at_reset, after = ratslam.advance(100.0)[-3:]
+    np.testing.assert_allclose(at_reset.pose, before.pose, atol=1e-12)
+    step = between(before.pose, after.pose)
+    np.testing.assert_allclose(step, (1.0, 0.0, 0.0), atol=1e-12)
+    assert at_reset.position_sigma_m == inf
+
+
+def test_poses_grow_less_certain_without_codes():
+    ratslam = RatSlam(CONFIG)
+    for t in range(100):
+        add(ratslam, sample(float(t)))
+    poses = ratslam.advance(0.0)
+    position, yaw = ([getattr(pose, name) for pose in poses]
+                     for name in ('position_sigma_m', 'yaw_sigma_rad'))
+    assert (np.diff(position) > 0).all() and (np.diff(yaw) > 0).all()
+    assert position[-1] > 0.5 and yaw[-1] > 0.5
 
 
 def test_poses_are_finite_after_the_odometry_was_reset():

@@ -34,6 +34,7 @@ class DictionaryLearner:
             0.0, deviation, (config.n_atoms, n_inputs)).astype(np.float32)
         self.refresh_gram()
         self.codes_ = np.zeros((1, config.n_atoms))
+        self._b = np.zeros_like(self.codes_)
 
     @property
     def is_stable(self) -> bool:

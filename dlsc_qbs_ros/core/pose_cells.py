@@ -2,8 +2,8 @@
 The pose cells: a continuous attractor network over (heading, y, x) on a torus.
 
 RatSLAM's filter between the views and the map. One packet of activity moves with the odometry;
-a recognised view injects activity where the packet stood when the view was new, and only after
-several views agree does the packet jump there.
+a recognised view injects activity where the packet stood when the view was new, and when that
+outweighs the packet, it jumps there: after two fresh views at an injection of 0.3, one at 0.6.
 """
 
 from __future__ import annotations

@@ -23,14 +23,17 @@ class CodeBook:
     Keeps one 8-bit view per view cell and re-encodes them all for each new dictionary.
 
     The work is done beside the stream of codes; the swap falls between the last code of one
-    epoch and the first of the next, so a map does not depend on how long it took.
+    epoch and the first of the next, so a map does not depend on how long it took. The last
+    `KEPT` dictionaries are remembered, for codes that are late or of a second encoder.
     """
+
+    KEPT = 5
 
     def __init__(self, config: Config, executor: Executor):
         self._config = config
         self._executor = executor
         self._views: list[np.ndarray] = []
-        self._pending: dict[int, _Reencoding] = {}
+        self._known: dict[int, _Reencoding] = {}
         self._coder: Coder | None = None
 
     def add_view(self, view: np.ndarray) -> None:
@@ -41,10 +44,12 @@ class CodeBook:
         """Start to re-encode the views so far under a new dictionary."""
         if self.is_current(dictionary.stamp_ns):
             self._coder = None  # a flight played again: another dictionary by the same name
-        known = list(self._views)
+        self._known.pop(dictionary.stamp_ns, None)
         coder = Coder(dictionary, self._config)
-        self._pending[dictionary.stamp_ns] = _Reencoding(
-            coder, self._executor.submit(coder.encode_views, known))
+        self._known[dictionary.stamp_ns] = _Reencoding(
+            coder, self._executor.submit(coder.encode_views, list(self._views)))
+        if len(self._known) > self.KEPT:
+            del self._known[next(iter(self._known))]
 
     def is_current(self, dictionary_ns: int) -> bool:
         """Whether the codes in the book are expressed in this dictionary."""
@@ -52,9 +57,9 @@ class CodeBook:
 
     def missing(self, dictionary_ns: int) -> str | None:
         """Return what `swap` to this dictionary would wait for: nothing, it or its codes."""
-        if dictionary_ns not in self._pending:
+        if dictionary_ns not in self._known:
             return 'dictionary'
-        return None if self._pending[dictionary_ns].codes.done() else 'reencoding'
+        return None if self._known[dictionary_ns].codes.done() else 'reencoding'
 
     def swap(self, dictionary_ns: int) -> np.ndarray:
         """
@@ -65,13 +70,10 @@ class CodeBook:
         ndarray of shape (n_cells, n_atoms), float32
 
         """
-        ready = self._pending[dictionary_ns]
+        ready = self._known[dictionary_ns]
         codes = ready.codes.result()
         late = ready.coder.encode_views(self._views[len(codes):])
         self._coder = ready.coder
-        # Dictionaries that no used code referred to are passed over with the one that was.
-        for stamp_ns in [s for s in self._pending if s <= dictionary_ns]:
-            del self._pending[stamp_ns]
         return np.concatenate([codes, late])
 
     def reencode(self, view: np.ndarray) -> np.ndarray:

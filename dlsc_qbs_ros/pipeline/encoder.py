@@ -76,8 +76,8 @@ class Encoder:
         if learned:
             self._learner.learn(inputs)
         self._gate.observe(error)
-        ran_away = self._coder is not None and not self._learner.is_stable
-        if ran_away:
+        ran_away = not self._learner.is_stable
+        if ran_away and self._coder is not None:
             self._learner.restart(self._coder.dictionary.atoms)
             self._gate = SurpriseGate(self._config.encoder.gate_window)
         return Encoded(

@@ -40,7 +40,7 @@ class Mapper:
         self.view_cells: ViewCells | None = None
         self.pose_cells = PoseCells(config.pose_cells)
         self.map = ExperienceMap()
-        self._drift = Drift(config.odometry)
+        self.drift = Drift(config.odometry)
         self._sequence = SequenceScore(config.ratslam.sequence_length)
         # Per view cell: where the pose cells stood, and how spent it is.
         self._cell_position = Rows(np.zeros((0, 3)))
@@ -101,7 +101,7 @@ class Mapper:
 
     def sigmas(self) -> tuple[float, float]:
         """Return the deviations of position in metres and heading in radians."""
-        return (self._drift.position_sigma_m(self._map_radius_m()), self._drift.yaw_sigma_rad())
+        return (self.drift.position_sigma_m(self._map_radius_m()), self.drift.yaw_sigma_rad())
 
     def _advance(self, odometry: OdometrySample) -> Pose2:
         """Carry the place along with the odometry; return the motion since the last code."""
@@ -109,14 +109,14 @@ class Mapper:
         if self.odometry is not None:
             elapsed_ns = odometry.stamp_ns - self.odometry.stamp_ns
             self._time_ns += max(elapsed_ns, 0)  # a clock that falls back makes nothing younger
-            if odometry.segment == self.odometry.segment:
+            if odometry.segment == self.odometry.segment and elapsed_ns >= 0:
                 motion = between(self.odometry.pose, odometry.pose)
                 seconds = elapsed_ns * 1e-9
             else:
-                self._drift.anchor(inf, inf)
+                self.drift.anchor(inf, inf)
                 self._is_joined = False
         self.odometry = odometry
-        self._drift.move(motion, seconds)
+        self.drift.move(motion, seconds)
         self._path_m += hypot(motion.x_m, motion.y_m)
         if self.place is not None:
             self.place = Place(self.place.experience, compose(self.place.offset, motion))
@@ -145,7 +145,9 @@ class Mapper:
         energy = self._pose_cell_config.injection * (30.0 - np.exp(1.2 * decay)) / 30.0
         self._cell_decay.values[matched] += self._pose_cell_config.active_decay
         if energy > 0.0:
-            self.pose_cells.inject(self._cell_position.values[matched], energy)
+            relative = self._offset_from(self._nearest_experience(matched))
+            self.pose_cells.inject(self.pose_cells.turned(
+                self._cell_position.values[matched], relative.yaw_rad), energy)
 
     def _match(self, similarities: np.ndarray) -> int | None:
         """Return the view cell that the last run of views ends in, if odometry allows one."""
@@ -205,25 +207,41 @@ class Mapper:
         self._is_joined = True
 
     def _meet(self, experience: int) -> None:
-        """
-        Arrive at an old experience.
-
-        Where the robot stands relative to it is judged by odometry and by the view, which says
-        "here, heading the same way", each weighed by its variance.
-        """
-        sigma_m, sigma_rad = self.sigmas()
-        expected = between(self.map.pose(experience), self.pose())
-        trust_m = _share(self._config.match_position_sigma_m, sigma_m)
-        trust_rad = _share(self._config.match_yaw_sigma_rad, sigma_rad)
-        offset = Pose2(trust_m * expected.x_m, trust_m * expected.y_m,
-                       trust_rad * expected.yaw_rad)
+        """Arrive at an old experience."""
+        offset = self._offset_from(experience)
+        trust_m, trust_rad = self._trust()
         if experience != self.place.experience and self._is_joined:
             motion = compose(self.place.offset, invert(offset))
             self.map.add_link(self.place.experience, experience, motion, True)
         self.place = Place(experience, offset)
         self._is_joined = True
-        self._drift.anchor(self._config.match_position_sigma_m * sqrt(1.0 - trust_m),
-                           self._config.match_yaw_sigma_rad * sqrt(1.0 - trust_rad))
+        self.drift.anchor(self._config.match_position_sigma_m * sqrt(1.0 - trust_m),
+                          self._config.match_yaw_sigma_rad * sqrt(1.0 - trust_rad))
+
+    def _offset_from(self, experience: int) -> Pose2:
+        """
+        Return where the robot stands in the frame of an experience whose view it sees.
+
+        Odometry says where, the view says "here, heading the same way"; each is weighed by its
+        variance. The yaw is RatSLAM's relative heading.
+        """
+        expected = between(self.map.pose(experience), self.pose())
+        trust_m, trust_rad = self._trust()
+        return Pose2(trust_m * expected.x_m, trust_m * expected.y_m,
+                     trust_rad * expected.yaw_rad)
+
+    def _trust(self) -> tuple[float, float]:
+        """Return the weights of odometry beside a view, for position and heading."""
+        sigma_m, sigma_rad = self.sigmas()
+        return (_share(self._config.match_position_sigma_m, sigma_m),
+                _share(self._config.match_yaw_sigma_rad, sigma_rad))
+
+    def _nearest_experience(self, view_cell: int) -> int:
+        """Return the experience of a view cell that is nearest to the estimated position."""
+        experiences = np.flatnonzero(self._view_cell.values == view_cell)
+        here = self.pose()
+        offsets = self.map.poses[experiences, :2] - (here.x_m, here.y_m)
+        return int(experiences[np.argmin(np.hypot(*offsets.T))])
 
     def _map_radius_m(self) -> float:
         extent = np.ptp(self.map.poses[:, :2], axis=0) if len(self.map) else np.zeros(2)

@@ -32,8 +32,8 @@ class OdometryNormaliser:
     Puts raw odometry in order: stamps rise, poses are continuous within a segment.
 
     A sample that is not after its predecessor is refused and counted; a fall back of the clock
-    far enough to be a restart (`StampOrder`), a silence or an impossible step starts a new
-    segment.
+    far enough to be a restart (`StampOrder`), a reset of the source or an impossible step starts
+    a new segment, and so does a silence when the twist is integrated.
     """
 
     def __init__(self, config: OdometryConfig):
@@ -68,7 +68,7 @@ class OdometryNormaliser:
     def _discontinuity(self, raw: RawOdometry, step_s: float) -> str | None:
         if step_s <= 0.0:
             return 'odometry_clock_jumps'
-        if step_s > self._config.max_gap_s:
+        if self._config.use_twist and step_s > self._config.max_gap_s:
             return 'odometry_gaps'
         if raw.sample.segment != self._last.sample.segment:
             return 'odometry_resets'
@@ -93,9 +93,10 @@ def _motion(a: RawOdometry, b: RawOdometry, step_s: float) -> Pose2:
 
 
 class OdometryHistory:
-    """The last samples, to find the pose at a stamp between two of them."""
+    """The samples that a code may still need, to find the pose at a stamp between two of them."""
 
-    KEPT_NS = 30_000_000_000
+    # Ten minutes at 200 Hz: more is only held while codes lag farther behind than that.
+    MAX_SAMPLES = 120_000
 
     def __init__(self):
         self._samples: list[OdometrySample] = []
@@ -105,9 +106,12 @@ class OdometryHistory:
         if self._samples and sample.stamp_ns <= self._samples[-1].stamp_ns:
             self._samples.clear()
         self._samples.append(sample)
-        if len(self._samples) % 256 == 0:
-            del self._samples[:bisect_right(
-                self._samples, sample.stamp_ns - self.KEPT_NS, key=lambda s: s.stamp_ns)]
+        if len(self._samples) > self.MAX_SAMPLES:
+            del self._samples[:self.MAX_SAMPLES // 2]
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Drop what no stamp from this one on needs."""
+        del self._samples[:bisect_right(self._samples, stamp_ns, key=_stamp_ns) - 1]
 
     @property
     def newest_ns(self) -> int | None:
@@ -116,7 +120,7 @@ class OdometryHistory:
 
     def at(self, stamp_ns: int) -> OdometrySample | None:
         """Return the sample at a stamp, interpolated within a segment, None outside."""
-        after = bisect_left(self._samples, stamp_ns, key=lambda s: s.stamp_ns)
+        after = bisect_left(self._samples, stamp_ns, key=_stamp_ns)
         if after == len(self._samples):
             return None
         b = self._samples[after]
@@ -128,4 +132,10 @@ class OdometryHistory:
         if a.segment != b.segment:
             return replace(a, stamp_ns=stamp_ns)
         fraction = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
-        return replace(a, stamp_ns=stamp_ns, pose=interpolate(a.pose, b.pose, fraction))
+        return replace(
+            a, stamp_ns=stamp_ns, pose=interpolate(a.pose, b.pose, fraction),
+            z_m=a.z_m + fraction * (b.z_m - a.z_m))
+
+
+def _stamp_ns(sample: OdometrySample) -> int:
+    return sample.stamp_ns

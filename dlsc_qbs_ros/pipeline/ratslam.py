@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from concurrent.futures import Executor, Future
+from copy import copy
+from math import inf
 from typing import Callable
 
 import numpy as np
@@ -11,9 +13,10 @@ import numpy as np
 from .code_book import CodeBook
 from .mapper import Mapper
 from .odometry import OdometryHistory
-from .stamps import StampOrder, Succession
+from .stamps import CLOCK_JUMP_NS, StampOrder, Succession
 from ..config import Config
-from ..core.geometry import compose
+from ..core.drift import Drift
+from ..core.geometry import between, compose, invert
 from ..core.types import IDENTITY, Code, Dictionary, OdometrySample, PoseEstimate, View
 
 
@@ -33,12 +36,13 @@ class RatSlam:
     # A camera's frames jitter: a code may come up to a quarter of a period early.
     EARLY_SHARE = 0.25
     MAX_VIEWS = 1000
+    MAX_NORM = 1e12
     CHECK_EVERY = 50
     CHECK_TOLERANCE = 1e-3
 
     def __init__(self, config: Config, executor: Executor | None = None,
                  on_update: Callable[[Mapper], None] = lambda mapper: None):
-        self._period_ns = int(config.ratslam.sample_period_s * (1 - self.EARLY_SHARE) * 1e9)
+        self._period_ns = int(config.ratslam.sample_period_s * 1e9)
         self._max_wait_s = config.ratslam.max_wait_s
         self._view_shape = (config.view.height, config.view.width)
         self._dictionary_shape = (config.encoder.n_atoms, config.view.width * config.view.height)
@@ -48,11 +52,15 @@ class RatSlam:
         self._samples: deque[tuple[OdometrySample, float]] = deque()
         self._views: dict[int, np.ndarray] = {}
         self._code_order = StampOrder()
-        self._used_ns: int | None = None
+        # The earliest stamp of the next code to be used; None before the first.
+        self._due_ns: int | None = None
         self._codes_flow = False
         self._map_T_odom = IDENTITY
-        self._sigmas = (0.0, 0.0)
+        # The newest odometry that has been used, by a code or for a pose, and the drift there.
+        self._last: OdometrySample | None = None
+        self._drift = Drift(config.odometry)
         self._on_update = on_update
+        self.codes_match = True
         self.mapper = Mapper(config)
         self.counts: Counter[str] = Counter()
 
@@ -60,8 +68,7 @@ class RatSlam:
         """Take in the next odometry sample; one whose stamp falls back starts a new timeline."""
         newest_ns = self._history.newest_ns
         if newest_ns is not None and sample.stamp_ns <= newest_ns:
-            self._restart_timeline()
-            self._samples.clear()
+            self._restart_timeline(sample.stamp_ns)
         self._history.add(sample)
         self._samples.append((sample, now_s))
 
@@ -69,6 +76,9 @@ class RatSlam:
         """Take in the dictionary of a new epoch; one of another shape is refused."""
         if dictionary.atoms.shape != self._dictionary_shape:
             self.counts['dictionaries_of_another_shape'] += 1
+            return
+        if not 0.0 < np.linalg.norm(dictionary.atoms.astype(np.float64)) < self.MAX_NORM:
+            self.counts['dictionaries_unusable'] += 1
             return
         self.counts['dictionaries'] += 1
         self._book.add_dictionary(dictionary)
@@ -88,21 +98,30 @@ class RatSlam:
         if len(code.values) != self._dictionary_shape[0]:
             self.counts['codes_of_another_length'] += 1
             return
+        if not np.isfinite(code.values).all():
+            self.counts['codes_not_finite'] += 1
+            return
         succession = self._code_order.take(code.stamp_ns)
         if succession is Succession.LATE:
             self.counts['codes_out_of_order'] += 1
             return
         if succession is Succession.RESTART:
-            self._restart_timeline()
+            self.counts['codes_clock_jumps'] += 1
+            self._restart_timeline(code.stamp_ns)
+            newest_ns = self._history.newest_ns
+            if newest_ns is not None and newest_ns > code.stamp_ns + CLOCK_JUMP_NS:
+                self._history = OdometryHistory()  # it is of the time before the jump
         self.counts['codes_received'] += 1
         self._codes_flow = True
         self._codes.append((code, now_s))
 
-    def _restart_timeline(self) -> None:
-        """Forget the queue of a clock that has jumped back; the map stays."""
-        self.counts['clock_jumps'] += 1
-        self._codes.clear()
-        self._used_ns = None
+    def _restart_timeline(self, stamp_ns: int) -> None:
+        """Give up codes of the time before a clock jumped back to a stamp; the map stays."""
+        kept = [item for item in self._codes
+                if item[0].stamp_ns <= stamp_ns + CLOCK_JUMP_NS]
+        self.counts['codes_before_clock_jump'] += len(self._codes) - len(kept)
+        self._codes = deque(kept)
+        self._due_ns = None
 
     def advance(self, now_s: float) -> list[PoseEstimate]:
         """Process all that is ready, or waited too long, and return the poses in stamp order."""
@@ -118,7 +137,7 @@ class RatSlam:
         code, arrived_s = self._codes[0]
         if self._samples and self._samples[0][0].stamp_ns < code.stamp_ns:
             return False
-        if self._used_ns is None or code.stamp_ns >= self._used_ns + self._period_ns:
+        if self._due_ns is None or code.stamp_ns >= self._due_ns:
             missing = self._missing(code)
             if missing and (now_s - arrived_s <= self._max_wait_s or missing == 'reencoding'):
                 return False
@@ -149,23 +168,41 @@ class RatSlam:
         if code.dictionary_ns is not None and not self._book.is_current(code.dictionary_ns):
             codes = self._book.swap(code.dictionary_ns)
             self.mapper.replace_codes(codes)
-            self.counts['epochs'] += 1
+            self.counts['code_books'] += 1
         view = self._views[code.stamp_ns]
         if code.dictionary_ns is not None and self.counts['codes_used'] % self.CHECK_EVERY == 0:
             self._check(code, view)
         if self.mapper.update(odometry, code.values):
             self._book.add_view(view)
         self.counts['codes_used'] += 1
-        self._used_ns = code.stamp_ns
-        self._map_T_odom = self.mapper.map_T_odom()
-        self._sigmas = self.mapper.sigmas()
+        self._history.forget_before(code.stamp_ns)
+        self._due_ns = self._next_due_ns(code.stamp_ns)
+        self._correct(odometry)
         self._on_update(self.mapper)
+
+    def _correct(self, odometry: OdometrySample) -> None:
+        """Take over the mapper's correction, unless odometry has broken since that code."""
+        if self._last is None or self._last.stamp_ns <= odometry.stamp_ns:
+            self._last = odometry
+        if self._last.segment != odometry.segment:
+            return
+        self._map_T_odom = self.mapper.map_T_odom()
+        self._drift = copy(self.mapper.drift)
+        self._drift.move(between(odometry.pose, self._last.pose),
+                         (self._last.stamp_ns - odometry.stamp_ns) * 1e-9)
+
+    def _next_due_ns(self, used_ns: int) -> int:
+        """Return the next stamp of a grid of one period, which starts anew after a silence."""
+        early_ns = int(self.EARLY_SHARE * self._period_ns)
+        if self._due_ns is None:
+            return used_ns + self._period_ns - early_ns
+        return max(self._due_ns + self._period_ns, used_ns + self._period_ns // 2)
 
     def _check(self, code: Code, view: np.ndarray) -> None:
         """Notice an encoder that is configured otherwise: its code would not come from here."""
         error = np.abs(self._book.reencode(view) - code.values).max()
-        if error > self.CHECK_TOLERANCE * np.abs(code.values).max():
-            self.counts['code_mismatches'] += 1
+        self.codes_match = error <= self.CHECK_TOLERANCE * np.abs(code.values).max()
+        self.counts['code_mismatches'] += not self.codes_match
 
     def _advance_sample(self, now_s: float, poses: list[PoseEstimate]) -> bool:
         """Give the oldest odometry sample its pose, when that is due; return whether it was."""
@@ -178,18 +215,32 @@ class RatSlam:
             self.counts['poses_ahead_of_codes'] += 1
             self._codes_flow = bool(self._codes)
         self._samples.popleft()
+        self._follow(sample)
         poses.append(PoseEstimate(
             sample.stamp_ns, compose(self._map_T_odom, sample.pose), sample, self._map_T_odom,
-            *self._sigmas))
+            self._drift.position_sigma_m(inf), self._drift.yaw_sigma_rad()))
         return True
+
+    def _follow(self, sample: OdometrySample) -> None:
+        """Carry the drift along; where odometry breaks, go on from the last pose."""
+        last, self._last = self._last, sample
+        if last is None:
+            return
+        if last.segment == sample.segment and last.stamp_ns <= sample.stamp_ns:
+            self._drift.move(between(last.pose, sample.pose),
+                             (sample.stamp_ns - last.stamp_ns) * 1e-9)
+        else:
+            self._map_T_odom = compose(compose(self._map_T_odom, last.pose),
+                                       invert(sample.pose))
+            self._drift.anchor(inf, inf)
 
     def _awaits_code(self, sample: OdometrySample) -> bool:
         """Whether a code at or before this sample is there or may yet come and be used."""
         if self._codes:
             return self._codes[0][0].stamp_ns <= sample.stamp_ns
-        if self._used_ns is None or not self._codes_flow:
+        if self._due_ns is None or not self._codes_flow:
             return False
-        return sample.stamp_ns >= self._used_ns + self._period_ns
+        return sample.stamp_ns >= self._due_ns
 
 
 class InlineExecutor(Executor):

@@ -8,7 +8,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from ..config import Config, PARAMETERS, ROS_OWN_PARAMETERS
+from ..config import Config, PARAMETERS, is_ros_parameter
 
 
 def load_config(node: Node, sections: tuple[str, ...]) -> Config:
@@ -27,7 +27,7 @@ def load_config(node: Node, sections: tuple[str, ...]) -> Config:
     # What was given is only public once declared, and an empty list cannot be declared untyped.
     given = {name: () if override.value is None else override.value
              for name, override in node._parameter_overrides.items()
-             if not name.startswith(ROS_OWN_PARAMETERS)}
+             if not is_ros_parameter(name)}
     config = Config().override(given)
     for name, value in config.flat().items():
         if name.partition('.')[0] in sections:
