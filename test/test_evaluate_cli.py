@@ -1,5 +1,6 @@
 """The evaluate command: what it writes, what it prints and how it refuses."""
 
+from itertools import product
 import json
 import subprocess
 import sys
@@ -8,7 +9,7 @@ from dlsc_qbs_ros.cli import evaluate
 from dlsc_qbs_ros.config import Config, load_profile
 from dlsc_qbs_ros.core.types import Frame, GroundTruthSample, OdometrySample, Pose2
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.pipeline.runner import RunResult
+from dlsc_qbs_ros.pipeline.runner import ENCODERS, RunResult
 import numpy as np
 import pytest
 
@@ -113,6 +114,28 @@ class TestResults:
         assert [(config.encoder.mode, config.encoder.gate) for config in pipeline.encoded] == [
             ('paper', True), ('epochs', False), ('epochs', True)]
 
+    @pytest.mark.parametrize('encoder', ['dlsc_qbs', 'dlsc_qbs_paper', 'dlsc'])
+    def test_the_name_of_a_row_says_what_ran_whatever_the_parameters_ask_for(
+            self, pipeline, flight, tmp_path, encoder):
+        for k, (mode, gate) in enumerate(product(('epochs', 'paper'), ('true', 'false'))):
+            evaluate.main([str(flight), '--encoder', encoder, '--set', f'encoder.mode={mode}',
+                           '--set', f'encoder.gate={gate}', '--out', str(tmp_path / str(k))])
+        assert pipeline.encoded == 4 * [Config().override(ENCODERS[encoder])]
+
+    def test_a_parameter_that_a_row_overrules_is_told_and_no_other(
+            self, pipeline, flight, tmp_path, capsys):
+        profile = tmp_path / 'profile.yaml'
+        profile.write_text('/**:\n  ros__parameters:\n    encoder: {mode: paper, n_atoms: 9}\n')
+        out = tmp_path / 'out'
+        assert evaluate.main(
+            [str(flight), '--encoder', 'dlsc_qbs,dlsc_qbs_paper,odometry', '--config',
+             str(profile), '--set', 'encoder.gate=true', '--out', str(out)]) == 0
+        assert capsys.readouterr().err == (
+            "evaluate: encoder.mode = 'paper' has no effect on the row dlsc_qbs, "
+            "which sets 'epochs'\n")
+        assert "# rows of dlsc_qbs: encoder.mode = 'epochs'\n" in (
+            out / 'config.yaml').read_text()
+
     def test_without_ground_truth_the_figures_are_null(self, pipeline, flight, tmp_path, capsys):
         pipeline.with_truth = False
         assert evaluate.main([str(flight), '--out', str(tmp_path / 'out')]) == 0
@@ -137,6 +160,11 @@ class TestResults:
         evaluate.main([str(flight), '--image-topic', '/a', '--odom-topic', '/b',
                        '--ground-truth-topic', '/c', '--out', str(tmp_path / 'out')])
         assert pipeline.read == [(flight, '/a', '/b', '/c')]
+
+    def test_a_flight_whose_whole_name_is_the_ending_keeps_it(self, pipeline, tmp_path):
+        (tmp_path / '.mcap').touch()
+        assert evaluate.main([str(tmp_path / '.mcap'), '--out', str(tmp_path / 'out')]) == 0
+        assert [row['flight'] for row in rows_of(tmp_path / 'out')] == ['.mcap']
 
     def test_flights_of_one_name_are_told_apart_by_their_folders(self, pipeline, tmp_path):
         for folder in ('seed_0', 'seed_1'):
@@ -238,6 +266,21 @@ class TestRefusals:
         error = capsys.readouterr().err
         assert f'--out {flight}: cannot be written' in error
         assert error.count('\n') == 1
+
+    @pytest.mark.parametrize('name', ['config.yaml', 'metrics.json', 'flight_1_dlsc_qbs.png'])
+    def test_of_a_result_that_cannot_be_written(self, pipeline, flight, tmp_path, capsys, name):
+        out = tmp_path / 'out'
+        (out / name).mkdir(parents=True)
+        assert evaluate.main([str(flight), '--out', str(out)]) == 1
+        error = capsys.readouterr().err
+        assert error.startswith(f'evaluate: --out {out}: cannot be written: ')
+        assert name in error
+        assert error.count('\n') == 1
+
+    def test_of_the_root_folder(self, pipeline, tmp_path, capsys):
+        assert evaluate.main(['/', '--out', str(tmp_path / 'out')]) == 1
+        assert capsys.readouterr().err == (
+            'evaluate: /: expected an MCAP file or a rosbag2 folder\n')
 
     def test_of_a_command_line_without_a_flight(self, capsys):
         with pytest.raises(SystemExit) as exit_:

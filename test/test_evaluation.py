@@ -283,10 +283,12 @@ class TestRow:
         assert 'flight_1 dlsc_qbs: 3 messages of /odom refused' in text
 
     def test_table_says_what_the_pipeline_gave_up_and_nothing_usual(self):
-        counts = {**COUNTS, 'codes_used': 9, 'codes_before_odometry': 4, 'clock_jumps': 0}
+        counts = {**COUNTS, 'codes_used': 9, 'code_books': 8, 'codes_before_odometry': 4,
+                  'codes_out_of_order': 0}
         text = format_table([row_of(result_of(walk(5)), [], counts=counts)])
         assert text.splitlines()[-1] == '  flight_1 dlsc_qbs: codes_before_odometry: 4'
         assert 'codes_used' not in text
+        assert 'code_books' not in text
 
 
 class TestPicture:

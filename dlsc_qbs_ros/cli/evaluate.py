@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from contextlib import contextmanager
 import json
 from pathlib import Path
 import sys
-from typing import Any, Iterable, Iterator, Sequence
+from typing import Any, Iterable, Iterator, Mapping, Sequence
 
 from tqdm import tqdm
 import yaml
@@ -59,7 +60,9 @@ def _parser() -> argparse.ArgumentParser:
 def _evaluate(args: argparse.Namespace) -> None:
     encoders = _encoders(args.encoder)
     flights = _named(args.flights)
-    config = _configuration(args)
+    values = _given_values(args)
+    config = Config().override(values)
+    _tell_overruled(values, encoders)
     _prepare(args.out, config, encoders)
     rows: list[Row] = []
     for name, path in flights.items():
@@ -72,8 +75,9 @@ def _evaluate(args: argparse.Namespace) -> None:
                 raise type(error)(f'{path}: {error}') from error
             rows.append(row)
             document = {'rows': [row.as_json() for row in rows]}
-            (args.out / 'metrics.json').write_text(json.dumps(document, indent=2) + '\n')
-            plot_run(args.out / f'{name}_{encoder}.png', row, result)
+            with _writing(args.out):
+                (args.out / 'metrics.json').write_text(json.dumps(document, indent=2) + '\n')
+                plot_run(args.out / f'{name}_{encoder}.png', row, result)
     print(format_table(rows))
     print(f'\n{args.out} holds metrics.json, config.yaml and a picture of each row.')
 
@@ -91,8 +95,10 @@ def _named(paths: Sequence[Path]) -> dict[str, Path]:
     for path in paths:
         if not path.exists():
             raise RecordingError(f'{path}: no such file or folder')
-    parts = [path.absolute().with_name(path.absolute().name.removesuffix('.mcap')).parts[1:]
-             for path in paths]
+        if not path.absolute().name:
+            raise RecordingError(f'{path}: expected an MCAP file or a rosbag2 folder')
+    stems = [path.with_suffix('') if path.suffix == '.mcap' else path for path in paths]
+    parts = [stem.absolute().parts[1:] for stem in stems]
     for depth in range(1, max(map(len, parts)) + 1):
         flights = {'_'.join(part[-depth:]): path for part, path in zip(parts, paths)}
         if len(flights) == len(paths):
@@ -100,8 +106,8 @@ def _named(paths: Sequence[Path]) -> dict[str, Path]:
     raise RecordingError(f'a flight is given twice: {", ".join(map(str, paths))}')
 
 
-def _configuration(args: argparse.Namespace) -> Config:
-    """Return the defaults overridden by --config, then --set, then --threshold."""
+def _given_values(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters of --config, overridden by --set, then by --threshold."""
     values: dict[str, Any] = load_profile(args.config) if args.config else {}
     values.update(map(parse_assignment, args.set))
     if args.threshold not in (None, 'tune'):
@@ -110,7 +116,25 @@ def _configuration(args: argparse.Namespace) -> Config:
         except ValueError:
             raise ConfigError(
                 f"--threshold {args.threshold!r}: expected a number or 'tune'") from None
-    return Config().override(values)
+    return values
+
+
+def _tell_overruled(values: Mapping[str, Any], encoders: Iterable[str]) -> None:
+    """Say which of the given parameters the name of an encoder decides otherwise."""
+    for encoder in encoders:
+        for key, value in ENCODERS[encoder].items():
+            if values.get(key, value) != value:
+                print(f'evaluate: {key} = {values[key]!r} has no effect on the row {encoder}, '
+                      f'which sets {value!r}', file=sys.stderr)
+
+
+@contextmanager
+def _writing(out: Path) -> Iterator[None]:
+    """Turn the failure of any write into --out into an expected error."""
+    try:
+        yield
+    except OSError as error:
+        raise DlscQbsError(f'--out {out}: cannot be written: {error}') from error
 
 
 def _prepare(out: Path, config: Config, encoders: Iterable[str]) -> None:
@@ -123,11 +147,9 @@ def _prepare(out: Path, config: Config, encoders: Iterable[str]) -> None:
     notes = [f'# rows of {encoder}: {key} = {value!r}\n'
              for encoder in encoders for key, value in ENCODERS[encoder].items()]
     document = yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
-    try:
+    with _writing(out):
         out.mkdir(parents=True, exist_ok=True)
         (out / 'config.yaml').write_text(''.join(notes) + document)
-    except OSError as error:
-        raise DlscQbsError(f'--out {out}: cannot be written: {error}') from error
 
 
 def _run(args, name: str, path: Path, encoder: str, config: Config) -> tuple[Row, RunResult]:

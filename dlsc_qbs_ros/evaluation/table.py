@@ -57,7 +57,8 @@ HEADER = ('flight', 'encoder', 'MAE_L | MAE_M [m]', 'odometry [m]', 'threshold',
           'view cells', 'experiences', 'closures')
 USUAL_COUNTS = {
     'frames', 'learning_frames', 'epochs', 'view_cells', 'experiences', 'closures',
-    'dictionaries', 'codes_received', 'codes_used', 'odometry_accepted', 'poses_ahead_of_codes'}
+    'dictionaries', 'code_books', 'codes_received', 'codes_used', 'odometry_accepted',
+    'poses_ahead_of_codes'}
 
 
 def format_table(rows: Sequence[Row]) -> str:

@@ -20,9 +20,9 @@ from ..errors import ImageError, StampError
 
 # What an encoder of the table means in parameters.
 ENCODERS: dict[str, dict[str, Any]] = {
-    'dlsc_qbs': {},
-    'dlsc_qbs_paper': {'encoder.mode': 'paper'},
-    'dlsc': {'encoder.gate': False},
+    'dlsc_qbs': {'encoder.mode': 'epochs', 'encoder.gate': True},
+    'dlsc_qbs_paper': {'encoder.mode': 'paper', 'encoder.gate': True},
+    'dlsc': {'encoder.mode': 'epochs', 'encoder.gate': False},
     'odometry': {'ratslam.min_age_s': 1e5},
 }
 
