@@ -13,6 +13,7 @@ from ..core.types import OdometrySample
 from ..errors import OdometryError
 from ..pipeline.odometry import OdometryNormaliser
 from ..ros.conversions import odometry_from_msg
+from ..ros.diagnostics import SequenceGaps
 from ..ros.qos import create_subscription, ODOMETRY_INPUT
 
 
@@ -22,6 +23,7 @@ class OdometryTopic:
     def __init__(self, node: Node, config: OdometryConfig):
         self._node = node
         self._normaliser = OdometryNormaliser(config)
+        self._gaps = SequenceGaps()
         self.frame_id = 'odom'
 
     def start(self, deliver: Callable[[OdometrySample], None]) -> None:
@@ -35,10 +37,11 @@ class OdometryTopic:
         self._node.destroy_subscription(self._subscription)
 
     def diagnostics(self) -> Counter[str]:
-        """Return what was accepted, and refused by cause."""
-        return self._normaliser.counts
+        """Return what was accepted, lost, and refused by cause."""
+        return self._normaliser.counts + Counter(odometry_lost=self._gaps.lost)
 
-    def _on_odometry(self, msg: Odometry) -> None:
+    def _on_odometry(self, msg: Odometry, info: dict) -> None:
+        self._gaps.observe(info['publication_sequence_number'])
         try:
             raw = odometry_from_msg(msg)
         except OdometryError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from math import inf
 import sys
@@ -16,12 +15,13 @@ from sensor_msgs.msg import Image
 from visualization_msgs.msg import MarkerArray
 
 from .odometry_topic import OdometryTopic
+from .ratslam_report import RatSlamReport
 from ..core.types import OdometrySample, PoseEstimate
 from ..errors import ImageError
 from ..pipeline.mapper import Mapper
 from ..pipeline.ratslam import RatSlam
 from ..ros.conversions import code_from_msg, dictionary_from_msg, pose_to_msg, view_from_msg
-from ..ros.diagnostics import ERROR, OK, publish_diagnostics, WARN
+from ..ros.diagnostics import publish_diagnostics
 from ..ros.logging import forward_logging
 from ..ros.map_conversions import experience_map_to_msg, path_to_msg, TFMessage, transform_to_msg
 from ..ros.parameters import load_config
@@ -40,8 +40,6 @@ class RatSlamNode(Node):
         forward_logging(self)
         config = load_config(self, ('view', 'encoder', 'odometry', 'ratslam', 'pose_cells'))
         self._config = config.ratslam
-        self._counts: Counter[str] = Counter()
-        self._reported: Counter[str] = Counter()
         self._map_ns: int | None = None
         self._reencoder = ThreadPoolExecutor(1, thread_name_prefix='reencoding')
         self._ratslam = RatSlam(config, self._reencoder, self._on_update)
@@ -49,12 +47,13 @@ class RatSlamNode(Node):
         self._path_publisher = create_publisher(self, Path, 'path', MAP)
         self._map_publisher = create_publisher(self, MarkerArray, 'experience_map', MAP)
         self._tf_publisher = self._create_tf_publisher()
+        self._odometry = OdometryTopic(self, config.odometry)
+        self._report = RatSlamReport(self._ratslam, self._odometry)
         for topic, qos, from_msg, add in (
                 ('dictionary', DICTIONARY, dictionary_from_msg, self._ratslam.add_dictionary),
                 ('view', OUTPUT, view_from_msg, self._ratslam.add_view),
                 ('code', OUTPUT, code_from_msg, self._add_code)):
             create_subscription(self, Image, topic, self._receiver(topic, from_msg, add), qos)
-        self._odometry = OdometryTopic(self, config.odometry)
         self._odometry.start(self._on_odometry)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(SETTLE_PERIOD_S, self._settle, clock=steady)
@@ -78,11 +77,12 @@ class RatSlamNode(Node):
         return create_publisher(self, TFMessage, '/tf', OUTPUT)
 
     def _receiver(self, topic: str, from_msg, add):
-        def receive(msg: Image) -> None:
+        def receive(msg: Image, info: dict) -> None:
+            self._report.message_arrived(topic, info)
             try:
                 add(from_msg(msg))
             except ImageError as error:
-                self._counts[f'{topic}_malformed'] += 1
+                self._report.message_refused(topic)
                 self.get_logger().warning(
                     f'{topic} refused: {error}', throttle_duration_sec=5.0)
             self._settle()
@@ -92,6 +92,7 @@ class RatSlamNode(Node):
         self._ratslam.add_code(code, time.monotonic())
 
     def _on_odometry(self, sample: OdometrySample) -> None:
+        self._report.odometry_arrived(sample)
         self._ratslam.add_odometry(sample, time.monotonic())
         self._settle()
 
@@ -104,12 +105,19 @@ class RatSlamNode(Node):
             self._publish_pose(estimate)
 
     def _publish_pose(self, estimate: PoseEstimate) -> None:
-        self._counts['poses'] += 1
         self._pose_publisher.publish(pose_to_msg(estimate, self._config.map_frame))
+        self._report.pose_published(estimate)
         if self._tf_publisher is not None:
-            self._tf_publisher.publish(transform_to_msg(
-                estimate.stamp_ns, estimate.map_T_odom, self._config.map_frame,
-                self._odometry.frame_id))
+            self._publish_transform(estimate)
+
+    def _publish_transform(self, estimate: PoseEstimate) -> None:
+        parent, child = self._config.map_frame, self._odometry.frame_id
+        if parent == child:
+            self.get_logger().error(f'odometry is in {child!r}, the frame of the map: no '
+                                    'transform goes out; rename one of them', once=True)
+            return
+        self._tf_publisher.publish(transform_to_msg(
+            estimate.stamp_ns, estimate.map_T_odom, parent, child))
 
     def _publish_map(self) -> None:
         """Publish the map when it has been updated since it last was."""
@@ -120,27 +128,6 @@ class RatSlamNode(Node):
         self._map_publisher.publish(experience_map_to_msg(
             self._map_ns, graph.poses, graph.links, graph.links[graph.is_closure], frame))
         self._map_ns = None
-
-    def _report(self) -> tuple[bytes, str, dict[str, object]]:
-        counts = self._counts + self._ratslam.counts + self._odometry.diagnostics()
-        new, self._reported = counts - self._reported, counts
-        level, problems = OK, []
-        if counts['code_mismatches']:
-            level = ERROR
-            problems.append('codes do not match their views: is the encoder configured alike?')
-        for key, missing in (('odometry_accepted', 'odometry'), ('codes_received', 'codes')):
-            if not new[key]:
-                problems.append(f'no {missing}')
-        problems += [f'{new[key]} {key.replace("_", " ")}' for key in sorted(new)
-                     if key.startswith(('codes_', 'dictionaries_', 'odometry_'))
-                     and key not in ('codes_received', 'codes_used', 'odometry_accepted')
-                     or key.endswith('_malformed')]
-        if problems and level == OK:
-            level = WARN
-        graph = self._ratslam.mapper.map
-        return level, ', '.join(problems) or 'mapping', {
-            **counts, 'experiences': len(graph), 'links': len(graph.links),
-            'closures': int(graph.is_closure.sum())}
 
 
 def main(args: list[str] | None = None) -> int:

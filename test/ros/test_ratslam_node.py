@@ -160,3 +160,17 @@ def test_a_bad_parameter_is_one_line_and_exit_code_1(start, key, value, said):
     assert process.wait() == 1
     assert said in process.text()
     assert 'Traceback' not in process.text()
+
+
+def test_the_report_has_its_figures_from_the_start_and_tells_rate_and_latency(graph):
+    status = graph.status(lambda values: True)
+    assert {value.key for value in status.values} >= {
+        'odometry_accepted', 'codes_received', 'codes_used', 'dictionaries', 'code_books', 'poses',
+        'pose_rate_hz', 'latency_ms', 'experiences', 'links', 'closures'}
+    for k in range(10):
+        graph.send('odom', odometry(k))
+    values = {value.key: float(value.value)
+              for value in graph.status(lambda values: values['poses'] == '10').values}
+    assert values['latency_ms'] >= 0.0
+    assert any(float(value.value) > 0 for report in graph.reports
+               for value in report.status[0].values if value.key == 'pose_rate_hz')
