@@ -7,9 +7,8 @@ import pytest
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.preprocessing import view_to_inputs
 from dlsc_qbs_ros.core.types import Dictionary
-from dlsc_qbs_ros.pipeline.code_book import CodeBook
+from dlsc_qbs_ros.pipeline.code_book import CodeBook, InlineExecutor
 from dlsc_qbs_ros.pipeline.coder import BATCH, Coder
-from dlsc_qbs_ros.pipeline.ratslam import InlineExecutor
 
 CONFIG = Config().override({'view.width': 16, 'view.height': 12, 'encoder.n_atoms': 20})
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from copy import copy
 from math import inf
 from typing import Callable
 
 import numpy as np
 
-from .code_book import CodeBook
+from .code_book import CodeBook, InlineExecutor
 from .mapper import Mapper
 from .odometry import OdometryHistory
 from .stamps import CLOCK_JUMP_NS, StampOrder, Succession
@@ -241,13 +241,3 @@ class RatSlam:
         if self._due_ns is None or not self._codes_flow:
             return False
         return sample.stamp_ns >= self._due_ns
-
-
-class InlineExecutor(Executor):
-    """Runs what is submitted at once, in the caller's thread."""
-
-    def submit(self, task, /, *args):
-        """Run a task and return its future, done."""
-        future: Future = Future()
-        future.set_result(task(*args))
-        return future
