@@ -9,8 +9,8 @@ ARGUMENTS = (
     ('config', '', 'YAML profile of parameters that override the defaults'),
     ('namespace', '', 'namespace of the three nodes'),
     ('use_sim_time', 'false', 'follow /clock, as a replayed flight needs'),
-    ('image_topic', '/camera/image_raw', 'topic of the camera'),
-    ('odom_topic', '/odom', 'topic of the odometry'),
+    ('image_topic', 'camera/image_raw', 'topic of the camera'),
+    ('odom_topic', 'odom', 'topic of the odometry'),
 )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from math import inf
+from math import inf, nan
 from pathlib import Path
 import sys
 from typing import Sequence
@@ -36,7 +36,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _rate(text: str) -> float:
-    rate = inf if text == 'max' else float(text)
+    try:
+        rate = inf if text == 'max' else float(text)
+    except ValueError:
+        rate = nan
     if not rate > 0:
         raise argparse.ArgumentTypeError(f'{text}: expected a number above 0, or max')
     return rate

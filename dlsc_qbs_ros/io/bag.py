@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager, suppress
 import heapq
 from pathlib import Path
 from typing import Any, Collection, Iterator, Mapping, Sequence
@@ -23,7 +24,8 @@ class BagWriter:
     Raises
     ------
     RecordingError
-        When the folder is there already or cannot be made.
+        When the folder is there already or cannot be made; from every method, when the disk
+        refuses to be written to, and from then on.
 
     """
 
@@ -40,6 +42,7 @@ class BagWriter:
         self._channels: dict[str, int] = {}
         self._topics: dict[str, dict[str, Any]] = {}
         self._first_ns = self._last_ns = 0
+        self._error: RecordingError | None = None
         self.message_count = 0
         self.byte_count = 0
 
@@ -62,10 +65,11 @@ class BagWriter:
         """
         definition = message_definition(type_name)
         profiles = [dict(profile) for profile in offered_qos]
-        schema = self._writer.register_schema(type_name, 'ros2msg', definition.encode())
-        self._channels[topic] = self._writer.register_channel(topic, 'cdr', schema, {
-            'offered_qos_profiles': yaml.safe_dump(profiles, sort_keys=False) if profiles else '',
-            'topic_type_hash': type_hash(type_name)})
+        words = yaml.safe_dump(profiles, sort_keys=False) if profiles else ''
+        with self._writing():
+            schema = self._writer.register_schema(type_name, 'ros2msg', definition.encode())
+            self._channels[topic] = self._writer.register_channel(topic, 'cdr', schema, {
+                'offered_qos_profiles': words, 'topic_type_hash': type_hash(type_name)})
         self._topics[topic] = {'message_count': 0, 'topic_metadata': {
             'name': topic,
             'type': type_name,
@@ -75,7 +79,8 @@ class BagWriter:
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Write one serialised message of an announced topic."""
-        self._writer.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
+        with self._writing():
+            self._writer.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
         first = self.message_count == 0
         self._first_ns = log_time_ns if first else min(self._first_ns, log_time_ns)
         self._last_ns = max(self._last_ns, log_time_ns)
@@ -84,16 +89,47 @@ class BagWriter:
         self.byte_count += len(data)
 
     def close(self) -> None:
-        """Finish the file and write `metadata.yaml`; closing again does nothing."""
+        """
+        Finish the file and write `metadata.yaml`; closing again does nothing.
+
+        A file that could not be written to its end stays unfinished, as one cut short.
+        """
         if self._file.closed:
             return
         information = self._information()
-        self._writer.add_metadata(
-            'rosbag2', {'serialized_metadata': yaml.safe_dump(information, sort_keys=False)})
-        self._writer.finish()
-        self._file.close()
-        (self.directory / 'metadata.yaml').write_text(yaml.safe_dump(
-            {'rosbag2_bagfile_information': information}, sort_keys=False))
+        try:
+            with self._writing():
+                self._writer.add_metadata('rosbag2', {
+                    'serialized_metadata': yaml.safe_dump(information, sort_keys=False)})
+                self._writer.finish()
+                self._file.close()
+                self._write_metadata(information)
+        except RecordingError:
+            with suppress(OSError):
+                self._file.close()
+            with suppress(OSError):
+                self._write_metadata(information)
+            raise
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Turn the first refusal of the disk into an error, and raise it ever after."""
+        if self._error is not None:
+            raise self._error
+        try:
+            yield
+        except OSError as error:
+            self._error = RecordingError(f'{self._path}: cannot be written: {error.strerror}')
+            raise self._error from error
+
+    def _write_metadata(self, information: Mapping[str, Any]) -> None:
+        path = self.directory / 'metadata.yaml'
+        try:
+            path.write_text(yaml.safe_dump(
+                {'rosbag2_bagfile_information': information}, sort_keys=False))
+        except OSError:
+            path.unlink(missing_ok=True)  # half of it would make the recording unreadable
+            raise
 
     def _information(self) -> dict[str, Any]:
         """Return the bag's description, version 9 of rosbag2's metadata."""
@@ -181,7 +217,13 @@ def _listed_files(path: Path) -> list[str]:
     if not path.is_file():
         return []
     try:
-        return list(
-            yaml.safe_load(path.read_text())['rosbag2_bagfile_information']['relative_file_paths'])
+        information = yaml.safe_load(path.read_text())['rosbag2_bagfile_information']
+        names = list(information['relative_file_paths'])
     except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError) as error:
         raise RecordingError(f'{path}: not the metadata of a rosbag2 recording') from error
+    mode = str(information.get('compression_mode') or 'none').lower()
+    if mode != 'none':  # inside a file, MCAP's own compression is welcome
+        raise RecordingError(
+            f'{path}: compressed by rosbag2, {information.get("compression_format")} per {mode}; '
+            'expected compression_mode none')
+    return names

@@ -65,10 +65,9 @@ def _converters(path: Path, topics: Mapping[str, str], image_topic: str | None,
     truth = ground_truth_topic
     if truth is None and topics.get(GROUND_TRUTH_TOPIC) in _POSE_TYPES:
         truth = GROUND_TRUTH_TOPIC
-    others = {topic: name for topic, name in topics.items() if topic != truth}
     chosen = {
-        _only(path, others, image_topic, _IMAGE_TYPES): image_conversions.frame_from_msg,
-        _only(path, others, odom_topic, _ODOMETRY_TYPES): conversions.odometry_from_msg}
+        _only(path, topics, image_topic, _IMAGE_TYPES, truth): image_conversions.frame_from_msg,
+        _only(path, topics, odom_topic, _ODOMETRY_TYPES, truth): conversions.odometry_from_msg}
     if truth is not None:
         chosen[_only(path, topics, truth, _POSE_TYPES)] = conversions.pose_stamped_from_msg
 
@@ -79,10 +78,11 @@ def _converters(path: Path, topics: Mapping[str, str], image_topic: str | None,
     return {topic: converter(convert) for topic, convert in chosen.items()}
 
 
-def _only(path: Path, topics: Mapping[str, str], wanted: str | None, types: tuple[str, ...]
-          ) -> str:
-    """Return the wanted topic if it is of a fitting type, or the only one that is."""
-    fitting = sorted(topic for topic, name in topics.items() if name in types)
+def _only(path: Path, topics: Mapping[str, str], wanted: str | None, types: tuple[str, ...],
+          taken: str | None = None) -> str:
+    """Return the wanted topic if it is of a fitting type, or the only one but the taken."""
+    fitting = sorted(
+        topic for topic, name in topics.items() if name in types and topic != taken)
     if wanted is None:
         if len(fitting) == 1:
             return fitting[0]
@@ -91,7 +91,9 @@ def _only(path: Path, topics: Mapping[str, str], wanted: str | None, types: tupl
     if wanted not in topics:
         raise RecordingError(
             f'{path}: no topic {wanted!r}; it has {", ".join(sorted(topics)) or "none"}')
-    if wanted not in fitting:
+    if topics[wanted] not in types:
         raise RecordingError(
             f'{path}: topic {wanted!r} is {topics[wanted]}; expected {" or ".join(types)}')
+    if wanted == taken:
+        raise RecordingError(f'{path}: topic {wanted!r} is the ground truth; expected another')
     return wanted

@@ -56,12 +56,12 @@ def file_topics(path: Path) -> dict[str, RecordedTopic]:
                 raise RecordingError(f'{path}: cut before its first message')
         else:
             try:
-                summary = make_reader(stream).get_summary()
+                summary = make_reader(stream, validate_crcs=True).get_summary()
                 if summary is not None and summary.channels:
                     schemas, channels = summary.schemas, summary.channels
                 else:
                     stream.seek(0)
-                    _collect(StreamReader(stream).records, schemas, channels)
+                    _collect(StreamReader(stream, validate_crcs=True).records, schemas, channels)
             except Exception as error:  # whatever the parser stumbles over, the file is the cause
                 raise _damaged(path, error) from error
     return {channel.topic: RecordedTopic(schemas[channel.schema_id].name, _is_latched(channel))
@@ -85,7 +85,7 @@ def file_messages(path: Path, topics: Collection[str]) -> Iterator[BagMessage]:
         if not _is_finished(stream):
             yield from _messages_before_cut(path, stream, topics)
             return
-        messages = make_reader(stream).iter_messages(topics=list(topics))
+        messages = make_reader(stream, validate_crcs=True).iter_messages(topics=list(topics))
         while True:
             try:
                 schema, channel, message = next(messages)
@@ -113,7 +113,8 @@ def _messages_before_cut(path: Path, stream: IO[bytes], topics: Collection[str]
 
 
 def _records_before_cut(path: Path, stream: IO[bytes]) -> Iterator:
-    records = StreamReader(stream, record_size_limit=_RECORD_LIMIT_BYTES).records
+    records = StreamReader(
+        stream, validate_crcs=True, record_size_limit=_RECORD_LIMIT_BYTES).records
     while True:
         try:
             record = next(records)

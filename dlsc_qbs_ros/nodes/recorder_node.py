@@ -13,7 +13,7 @@ from rclpy.subscription import Subscription
 from ..config import RecorderConfig
 from ..errors import ConfigError, RecordingError
 from ..io.bag import BagWriter
-from ..ros.diagnostics import OK, publish_diagnostics, SequenceGaps, WARN
+from ..ros.diagnostics import ERROR, OK, publish_diagnostics, SequenceGaps, WARN
 from ..ros.logging import forward_logging
 from ..ros.parameters import load_config
 from ..ros.qos import adapted_to, qos_to_words
@@ -33,10 +33,11 @@ class RecorderNode(Node):
         forward_logging(self)
         self._config = load_config(self, ('recorder',)).recorder
         self._pattern = _compiled(self._config)
-        self._names = {self.resolve_topic_name(topic) for topic in self._config.topics}
+        self._names = {self._resolved(topic) for topic in self._config.topics}
         self._recorded: dict[str, Subscription] = {}
         self._gaps: dict[str, SequenceGaps] = {}
         self._refused: set[str] = set()
+        self._failure, self._not_written = '', 0
         self._writer = BagWriter(
             self._config.output or f'recording_{datetime.now():%Y_%m_%d-%H_%M_%S}')
         self.create_timer(DISCOVERY_PERIOD_S, self._discover,
@@ -45,15 +46,23 @@ class RecorderNode(Node):
         self.get_logger().info(f'recording into {self._writer.directory}')
 
     def destroy_node(self) -> None:
-        """Finish the recording, then the node."""
-        self._writer.close()
-        self.get_logger().info(f'{self._writer.directory}: {self._writer.message_count} messages, '
-                               f'{self._writer.byte_count} bytes')
-        super().destroy_node()
+        """Finish the recording, then the node; raise RecordingError if it is not whole."""
+        try:
+            self._writer.close()
+            self.get_logger().info(f'{self._writer.directory}: {self._writer.message_count} '
+                                   f'messages, {self._writer.byte_count} bytes')
+        finally:
+            super().destroy_node()
+
+    def _resolved(self, topic: str) -> str:
+        try:
+            return self.resolve_topic_name(topic)
+        except RuntimeError as error:
+            raise ConfigError(f'recorder.topics: {topic!r} is no name of a topic') from error
 
     def _discover(self) -> None:
         """Subscribe to topics that match and are new, and where publishers changed their offer."""
-        if self._is_waiting_for_clock():
+        if self._failure or self._is_waiting_for_clock():
             return
         for topic, types in self.get_topic_names_and_types():
             if topic in self._refused or not self._matches(topic):
@@ -97,7 +106,12 @@ class RecorderNode(Node):
         self._gaps[topic].observe(info['publication_sequence_number'])
         clock = self.get_clock()
         log_time_ns = clock.now().nanoseconds if clock.ros_time_is_active else received_ns(info)
-        self._writer.write(topic, data, log_time_ns, info['source_timestamp'])
+        try:
+            self._writer.write(topic, data, log_time_ns, info['source_timestamp'])
+        except RecordingError as error:
+            self._failure = str(error)
+            self._not_written += 1
+            self.get_logger().error(f'nothing more is recorded: {error}', once=True)
 
     def _report(self) -> tuple[bytes, str, dict[str, object]]:
         # Several publishers count on their own: only one publisher's gaps mean anything.
@@ -105,10 +119,20 @@ class RecorderNode(Node):
                    if self.count_publishers(topic) <= 1)
         values = {'topics': len(self._recorded), 'messages': self._writer.message_count,
                   'bytes': self._writer.byte_count, 'lost': lost,
-                  'refused_topics': ' '.join(sorted(self._refused)),
-                  'output': str(self._writer.directory)}
-        problem = lost or self._refused
-        return WARN if problem else OK, 'losses' if lost else 'recording', values
+                  'not_written': self._not_written, 'output': str(self._writer.directory),
+                  'refused_topics': ' '.join(sorted(self._refused))}
+        if self._failure:
+            return ERROR, self._failure, values
+        awaited = self._awaited()
+        problem = f'waiting for {", ".join(awaited)}' if awaited else 'losses' if lost else ''
+        return WARN if problem or self._refused else OK, problem or 'recording', values
+
+    def _awaited(self) -> list[str]:
+        if self._is_waiting_for_clock():
+            return ['/clock']
+        if self._pattern is not None and not self._recorded:
+            return [f'topics that match {self._config.regex}']
+        return sorted(self._names - self._recorded.keys() - self._refused)
 
 
 def _compiled(config: RecorderConfig) -> re.Pattern | None:

@@ -20,7 +20,7 @@ from ..core.types import (
 from ..errors import ImageError, OdometryError
 
 UNMEASURED_VARIANCE = 1e6
-_DICTIONARY_FRAME = re.compile(r'dictionary_(-?\d+)')
+_DICTIONARY_FRAME = re.compile(r'dictionary_(-?\d{1,19})', re.ASCII)
 
 
 def odometry_to_msg(sample: OdometrySample, velocity_m_s: float, yaw_rate_rad_s: float,

@@ -16,8 +16,8 @@ from rclpy.subscription import Subscription
 
 from ..errors import ConfigError
 
-# Sensor data, but deep enough that a burst of a second is not lost while one frame is worked on.
-IMAGE_INPUT = QoSProfile(depth=60, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Sensor data: deep enough for a short burst, no deeper, or a slow board falls seconds behind.
+IMAGE_INPUT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 ODOMETRY_INPUT = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 OUTPUT = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 # Depth 1 would drop a dictionary that is followed by the next before the reader has taken it.

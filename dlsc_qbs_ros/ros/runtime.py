@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import sys
@@ -10,6 +11,7 @@ from typing import Callable, Sequence
 
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -37,14 +39,18 @@ class StopRequest:
         self.received = True
 
 
-def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+def run_node(node_class: type[Node], args: Sequence[str] | None = None) -> int:
     """
     Make a node and spin it until SIGINT or SIGTERM; return the exit code of the process.
 
     The node's `destroy_node` must give back all it holds and join its threads. An expected error
-    is one line on stderr and exit code 1.
+    is one line on stderr and exit code 1; an argument that is not one of ROS's is exit code 2.
     """
-    return run_ros(lambda stop: _spin(make_node(), stop), args)
+    def work(stop: StopRequest) -> None:
+        argv = sys.argv[1:] if args is None else args
+        _parser(node_class).parse_args(without_ros_args(argv))
+        _spin(node_class(), stop)
+    return run_ros(work, args)
 
 
 def run_ros(work: Callable[[StopRequest], None], args: Sequence[str] | None = None) -> int:
@@ -53,7 +59,7 @@ def run_ros(work: Callable[[StopRequest], None], args: Sequence[str] | None = No
     try:
         _initialise(args)
         work(stop)
-    except DlscQbsError as error:
+    except (DlscQbsError, ParameterException) as error:  # rclpy's own: use_sim_time := 3
         print(f'error: {error}', file=sys.stderr)
         return 1
     finally:
@@ -64,6 +70,13 @@ def run_ros(work: Callable[[StopRequest], None], args: Sequence[str] | None = No
 def without_ros_args(argv: Sequence[str]) -> list[str]:
     """Return a command line, without the program's name, less what belongs to ROS."""
     return rclpy.utilities.remove_ros_args(['', *argv])[1:]
+
+
+def _parser(node_class: type[Node]) -> argparse.ArgumentParser:
+    return argparse.ArgumentParser(
+        description=node_class.__doc__,
+        epilog='Parameters are given as usual: '
+        '--ros-args -p section.name:=value --params-file FILE')
 
 
 def _spin(node: Node, stop: StopRequest) -> None:

@@ -3,6 +3,8 @@
 from functools import lru_cache
 import logging
 from pathlib import Path
+import subprocess
+import sys
 
 from dlsc_qbs_ros.errors import RecordingError
 from dlsc_qbs_ros.io.bag import bag_topics, BagMessage, BagWriter, latched_topics, read_bag
@@ -298,6 +300,58 @@ def test_a_file_damaged_in_its_middle_is_refused(bag):
     mcap_of(bag).write_bytes(content)
     with pytest.raises(RecordingError, match='flight_0.mcap: damaged'):
         list(read_bag(bag))
+
+
+def flip_a_bit(path):
+    content = bytearray(path.read_bytes())
+    content[content.index(messages()[0].data) + 1000] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize('missing', [0, 8])
+def test_a_bit_that_flipped_does_not_pass(bag, missing):
+    flip_a_bit(mcap_of(bag))
+    path = cut(bag, mcap_of(bag).stat().st_size - missing)
+    with pytest.raises(RecordingError, match='cut.mcap: damaged'):
+        list(read_bag(path))
+
+
+FULL_DISK = '''
+import resource, sys
+from dlsc_qbs_ros.errors import RecordingError
+from dlsc_qbs_ros.io.bag import BagWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
+writer = BagWriter(sys.argv[1])
+writer.add_topic('/camera', 'sensor_msgs/msg/Image')
+for attempt in (lambda: [writer.write('/camera', bytes(100_000), k, k) for k in range(100)],
+                lambda: writer.write('/camera', b'', 0, 0), writer.close, writer.close):
+    try:
+        attempt()
+    except RecordingError as error:
+        print(error)
+'''
+
+
+def test_a_full_disk_is_an_error_and_what_was_written_stays(tmp_path):
+    output = subprocess.run(
+        [sys.executable, '-c', FULL_DISK, tmp_path / 'flight'], cwd=Path(__file__).parents[2],
+        capture_output=True, text=True, check=True)
+    path = tmp_path / 'flight' / 'flight_0.mcap'
+    assert output.stderr == ''
+    assert output.stdout.splitlines() == 3 * [f'{path}: cannot be written: File too large']
+    assert [m.log_time_ns for m in read_bag(tmp_path / 'flight')] == list(range(22))
+    assert (tmp_path / 'flight' / 'metadata.yaml').is_file()
+
+
+@pytest.mark.parametrize('mode', ['message', 'FILE'])
+def test_what_rosbag2_compressed_is_refused_by_name(bag, mode):
+    path = bag / 'metadata.yaml'
+    document = yaml.safe_load(path.read_text())
+    document['rosbag2_bagfile_information'].update(
+        compression_format='zstd', compression_mode=mode)
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(RecordingError, match=f'compressed by rosbag2, zstd per {mode.lower()}'):
+        next(read_bag(bag))
 
 
 @pytest.mark.parametrize('make, error', [

@@ -148,6 +148,8 @@ def test_floats_of_the_other_byte_order_are_read():
     ({'width': 0, 'step': 0}, '1×0 image'),
     ({'height': 2}, '12 bytes of data: expected 24'),
     ({'frame_id': 'camera'}, "frame_id 'camera': expected dictionary_<nanoseconds>"),
+    ({'frame_id': 'dictionary_' + 5000 * '1'}, 'expected dictionary_<nanoseconds>'),
+    ({'frame_id': 'dictionary_\u0661'}, 'expected dictionary_<nanoseconds>'),
     ({'values': [1.0, nan, 0.0]}, 'not finite'),
 ])
 def test_a_malformed_code_is_refused(changes, error):

@@ -79,7 +79,11 @@ def test_odometry_may_be_the_ground_truth_of_another(tmp_path):
     ({'image_topic': '/left', 'odom_topic': '/gone'},
      "no topic '/gone'; it has /left, /name, /odom, /right"),
     ({'image_topic': '/name'}, "topic '/name' is std_msgs/msg/String; expected sensor_msgs"),
-    ({'image_topic': '/left', 'ground_truth_topic': '/true'}, "no topic '/true'")])
+    ({'image_topic': '/left', 'ground_truth_topic': '/true'}, "no topic '/true'"),
+    ({'image_topic': '/odom', 'ground_truth_topic': '/odom'},
+     "topic '/odom' is nav_msgs/msg/Odometry; expected sensor_msgs"),
+    ({'image_topic': '/left', 'odom_topic': '/odom', 'ground_truth_topic': '/odom'},
+     "topic '/odom' is the ground truth; expected another")])
 def test_a_topic_that_is_not_clear_is_refused(tmp_path, arguments, error):
     flight = record(tmp_path / 'flight', [
         ('/left', image(1)), ('/right', image(2)), ('/odom', odometry(3)), ('/name', String())])

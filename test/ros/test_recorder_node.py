@@ -1,8 +1,9 @@
 """The recorder, as a process beside live publishers: what it is to record lies in its file."""
 
+import resource
 import signal
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dlsc_qbs_ros.io.bag import bag_topics, latched_topics, read_bag
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.serialization import deserialize
@@ -53,6 +54,10 @@ def record(observer, messages, before=lambda: None):
     total = sum(map(len, messages.values()))
     observer.spin_until(lambda: int(status_of(reports)[1].get('messages', 0)) >= total)
     return reports
+
+
+def level_of(reports):
+    return [s.level for report in reports for s in report.status if s.name == '/recorder'][-1]
 
 
 def names_in(bag):
@@ -157,6 +162,46 @@ def test_a_folder_that_is_there_is_refused_in_one_line(recorder, tmp_path):
     assert process.wait() == 1
     assert process.text().startswith(f'error: {tmp_path}/bag: cannot make a new recording')
     assert len(process.text().splitlines()) == 1
+
+
+def test_a_full_disk_ends_the_recording_not_the_node(recorder, observer, tmp_path):
+    publisher = observer.advertise(String, '/name')
+    reports = observer.collect(DiagnosticArray, '/diagnostics')
+    process = recorder(topics="['/name']")
+    resource.prlimit(process._popen.pid, resource.RLIMIT_FSIZE, 2 * (3_000_000,))
+    observer.spin_until(publisher.get_subscription_count)
+    for _ in range(60):
+        publisher.publish(String(data=100_000 * 'x'))
+    observer.spin_until(lambda: reports and level_of(reports) == DiagnosticStatus.ERROR)
+    observer.spin_until(lambda: int(status_of(reports)[1]['not_written']) > 1)
+    assert status_of(reports)[0] == f'{tmp_path}/bag/bag_0.mcap: cannot be written: File too large'
+    assert process.stop() == 1
+    assert 'Traceback' not in process.text()
+    assert process.text().count('nothing more is recorded') == 1
+    assert len(names_in(tmp_path / 'bag')) > 10
+
+
+def test_what_is_waited_for_is_named(recorder, observer):
+    reports = observer.collect(DiagnosticArray, '/diagnostics')
+    publisher = observer.advertise(String, '/name')
+    recorder(topics="['/name', '/gone']")
+    observer.spin_until(publisher.get_subscription_count)
+    observer.spin_until(lambda: status_of(reports)[0] == 'waiting for /gone')
+    assert level_of(reports) == DiagnosticStatus.WARN
+
+
+def test_a_clock_that_does_not_tick_is_named(start, observer, tmp_path):
+    reports = observer.collect(DiagnosticArray, '/diagnostics')
+    start('nodes.recorder_node', '--ros-args', '-p', 'use_sim_time:=true',
+          '-p', f'recorder.output:={tmp_path}/bag')
+    observer.spin_until(lambda: status_of(reports)[0] == 'waiting for /clock')
+    assert level_of(reports) == DiagnosticStatus.WARN
+
+
+def test_a_name_that_no_topic_can_have_is_refused_in_one_line(recorder):
+    process = recorder(topics="['bad topic!']")
+    assert process.wait() == 1
+    assert process.text() == "error: recorder.topics: 'bad topic!' is no name of a topic\n"
 
 
 def test_a_bad_expression_is_refused_in_one_line(recorder):

@@ -234,4 +234,4 @@ def test_a_message_that_is_cut_is_left_out_and_named(start, observer, tmp_path):
 def test_a_rate_must_be_above_zero(start, rate):
     replay = start('cli.replay', 'flight', f'--rate={rate}')
     assert replay.wait() == 2
-    assert 'argument --rate' in replay.text()
+    assert f'argument --rate: {rate}: expected a number above 0, or max' in replay.text()

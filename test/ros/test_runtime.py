@@ -49,7 +49,22 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_1(start, module, assignment
     assert process.text() == error
 
 
+@pytest.mark.parametrize('module', NODES)
+def test_help_tells_how_parameters_are_given_and_starts_nothing(start, module):
+    process = start(f'nodes.{module}', '--help')
+    assert process.wait() == 0
+    assert '--ros-args -p section.name:=value --params-file FILE' in ' '.join(
+        process.text().split())
+
+
+def test_an_argument_outside_of_the_ros_arguments_is_refused(start):
+    process = start('nodes.encoder_node', '--params-file', 'x', '--ros-args', '-r', 'a:=b')
+    assert process.wait() == 2
+    assert 'unrecognized arguments: --params-file x' in process.text()
+
+
 @pytest.mark.parametrize('arguments, error', [
+    (['-p', 'use_sim_time:=3'], "error: Trying to set parameter 'use_sim_time' to '3'"),
     (['--params-file', 'nothing.yaml'], 'nothing.yaml'),
     (['--no-such-option'], 'no-such-option'),
     (['-p', 'qos_overrides./image.subscription.reliability:=perfect'], 'perfect')])
