@@ -37,6 +37,8 @@ class RecorderNode(Node):
         self._recorded: dict[str, Subscription] = {}
         self._gaps: dict[str, SequenceGaps] = {}
         self._refused: set[str] = set()
+        # Topics that had several publishers: each counts on its own, so gaps mean nothing.
+        self._shared: set[str] = set()
         self._failure, self._not_written = '', 0
         self._writer = BagWriter(
             self._config.output or f'recording_{datetime.now():%Y_%m_%d-%H_%M_%S}')
@@ -68,6 +70,8 @@ class RecorderNode(Node):
             if topic in self._refused or not self._matches(topic):
                 continue
             offers = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+            if len(offers) > 1:
+                self._shared.add(topic)
             if offers:
                 try:
                     self._record(topic, types, offers)
@@ -114,9 +118,7 @@ class RecorderNode(Node):
             self.get_logger().error(f'nothing more is recorded: {error}', once=True)
 
     def _report(self) -> tuple[bytes, str, dict[str, object]]:
-        # Several publishers count on their own: only one publisher's gaps mean anything.
-        lost = sum(gaps.lost for topic, gaps in self._gaps.items()
-                   if self.count_publishers(topic) <= 1)
+        lost = sum(gaps.lost for topic, gaps in self._gaps.items() if topic not in self._shared)
         values = {'topics': len(self._recorded), 'messages': self._writer.message_count,
                   'bytes': self._writer.byte_count, 'lost': lost,
                   'not_written': self._not_written, 'output': str(self._writer.directory),
