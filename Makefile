@@ -31,9 +31,10 @@ bench: build
 
 # The table of the README: three kinds of flight, three seeds of each, one configuration for all.
 TABLE := table_output
+SEEDS := 0 1 2
 table: build
 	rm -rf $(TABLE)
-	set -e; for flight in 1 2 3; do for seed in 0 1 2; do \
+	set -e; for flight in 1 2 3; do for seed in $(SEEDS); do \
 		$(BIN)/simulate --flight $$flight --seed $$seed --encoding mono8 \
 			--out $(TABLE)/flight$${flight}_seed$$seed; \
 	done; done
