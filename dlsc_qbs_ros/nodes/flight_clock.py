@@ -48,7 +48,8 @@ class FlightClock:
     def run_until(self, flight_ns: int) -> None:
         """Let the clock run until a time, and tell it."""
         due_s = (flight_ns - self._start_ns) * 1e-9 / self._rate
-        while self.wall_s < due_s and self._spin(min(due_s - self.wall_s, WAKE_UP_S)):
+        # Time is read once a turn: a wait that had turned negative would never end.
+        while (left_s := due_s - self.wall_s) > 0.0 and self._spin(min(left_s, WAKE_UP_S)):
             self._advance(min(flight_ns, self._start_ns + int(self.wall_s * self._rate * 1e9)))
         self._advance(flight_ns)
 
