@@ -111,9 +111,9 @@ def test_a_parameter_does_not_change_in_flight(make_node):
 def test_the_quality_of_service_may_be_overridden(make_node):
     node = make_node('-p', 'qos_overrides./image.subscription.reliability:=reliable',
                      '-p', 'qos_overrides./image.subscription.depth:=7')
-    qos = create_subscription(node, String, 'image', print, IMAGE_INPUT).qos_profile
+    qos = create_subscription(node, String, 'image', lambda msg: None, IMAGE_INPUT).qos_profile
     assert (qos.reliability, qos.depth) == (ReliabilityPolicy.RELIABLE, 7)
-    other = create_subscription(node, String, 'other', print, IMAGE_INPUT).qos_profile
+    other = create_subscription(node, String, 'other', lambda msg: None, IMAGE_INPUT).qos_profile
     assert other.reliability == ReliabilityPolicy.BEST_EFFORT
 
 
@@ -121,7 +121,7 @@ def test_the_quality_of_service_may_be_overridden(make_node):
 def test_an_override_that_does_not_fit_is_refused(make_node, assignment):
     node = make_node('-p', f'qos_overrides./image.subscription.{assignment}')
     with pytest.raises(ConfigError, match="qos_overrides of topic 'image': "):
-        create_subscription(node, String, 'image', print, IMAGE_INPUT)
+        create_subscription(node, String, 'image', lambda msg: None, IMAGE_INPUT)
 
 
 RELIABLE = QoSProfile(depth=1)
