@@ -5,8 +5,9 @@ from math import pi
 import numpy as np
 import pytest
 
-from dlsc_qbs_ros.core.experience_map import ExperienceMap, Rows
+from dlsc_qbs_ros.core.experience_map import ExperienceMap
 from dlsc_qbs_ros.core.geometry import between, compose, wrap_angle
+from dlsc_qbs_ros.core.rows import Rows
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
 ENOUGH = 1000

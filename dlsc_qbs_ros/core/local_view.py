@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from .experience_map import Rows
+from .rows import Rows
 
 
 class ViewCells:

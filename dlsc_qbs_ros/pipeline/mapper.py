@@ -9,10 +9,11 @@ import numpy as np
 
 from ..config import Config
 from ..core.drift import Drift
-from ..core.experience_map import ExperienceMap, Rows
+from ..core.experience_map import ExperienceMap
 from ..core.geometry import between, compose, invert, wrap_angle
 from ..core.local_view import SequenceScore, ViewCells
 from ..core.pose_cells import PoseCells
+from ..core.rows import Rows
 from ..core.types import IDENTITY, OdometrySample, Pose2
 
 
