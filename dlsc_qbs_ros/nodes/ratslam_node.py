@@ -25,11 +25,13 @@ from ..ros.diagnostics import publish_diagnostics
 from ..ros.logging import forward_logging
 from ..ros.map_conversions import experience_map_to_msg, path_to_msg, TFMessage, transform_to_msg
 from ..ros.parameters import load_config
-from ..ros.qos import create_publisher, create_subscription, DICTIONARY, MAP, OUTPUT
+from ..ros.qos import (
+    create_publisher, create_subscription, DICTIONARY, MAP, OUTPUT, wait_until_received)
 from ..ros.runtime import run_node
 
 SETTLE_PERIOD_S = 0.02
 MAP_PERIOD_S = 0.5
+LAST_WORDS_S = 0.5
 
 
 class RatSlamNode(Node):
@@ -66,6 +68,8 @@ class RatSlamNode(Node):
         self._reencoder.shutdown()
         self._settle(inf)
         self._publish_map()
+        wait_until_received(
+            (self._pose_publisher, self._path_publisher, self._map_publisher), LAST_WORDS_S)
         super().destroy_node()
 
     def _create_tf_publisher(self):

@@ -48,8 +48,10 @@ class RecorderNode(Node):
         self.get_logger().info(f'recording into {self._writer.directory}')
 
     def destroy_node(self) -> None:
-        """Finish the recording, then the node; raise RecordingError if it is not whole."""
+        """Write what waits, finish the recording, then end; raise RecordingError if not whole."""
         try:
+            for subscription in self._recorded.values():
+                self._drain(subscription)
             self._writer.close()
             self.get_logger().info(f'{self._writer.directory}: {self._writer.message_count} '
                                    f'messages, {self._writer.byte_count} bytes')
@@ -105,6 +107,15 @@ class RecorderNode(Node):
             self.destroy_subscription(subscription)
         self._recorded[topic] = self.create_subscription(
             msg_type, topic, lambda data, info: self._write(topic, data, info), qos, raw=True)
+
+    def _drain(self, subscription: Subscription) -> None:
+        """Write what has arrived and no callback has seen."""
+        with subscription.handle:
+            for _ in range(QUEUE_DEPTH):
+                taken = subscription.handle.take_message(subscription.msg_type, True)
+                if taken is None:
+                    return
+                subscription.callback(*taken)
 
     def _write(self, topic: str, data: bytes, info: dict) -> None:
         self._gaps[topic].observe(info['publication_sequence_number'])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from copy import copy
+import time
 from typing import Any, Callable, Iterator, Sequence
 
 from rclpy.duration import Duration
@@ -42,6 +43,18 @@ def create_subscription(node: Node, msg_type: type, topic: str, callback: Callab
         return node.create_subscription(
             msg_type, topic, callback, copy(qos),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+
+def wait_until_received(publishers: Sequence[Publisher], seconds: float) -> None:
+    """
+    Give reliable subscribers time for what was published last, before the publishers go.
+
+    A subscriber that learns first that a publisher is gone drops what is still on its way.
+    """
+    until_s = time.monotonic() + seconds
+    for publisher in publishers:
+        left_s = max(until_s - time.monotonic(), 0.0)
+        publisher.wait_for_all_acked(Duration(seconds=left_s))
 
 
 def adapted_to(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:

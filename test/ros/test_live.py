@@ -5,6 +5,7 @@ from math import inf
 from pathlib import Path
 import signal
 
+from diagnostic_msgs.msg import DiagnosticArray
 from dlsc_qbs_ros.cli.simulate import main as simulate
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.types import (
@@ -16,7 +17,6 @@ from dlsc_qbs_ros.pipeline.runner import encode, map_codes
 from dlsc_qbs_ros.ros.serialization import deserialize
 from dlsc_qbs_ros.ros.stamps import stamp_to_ns
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import Path as PathMsg
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy
@@ -60,15 +60,16 @@ class Graph:
 
     TOPICS = ('/pose', '/path', '/experience_map', '/code', '/view')
 
-    def __init__(self, start, observer, recording):
+    def __init__(self, start, observer, recording, recorded=TOPICS):
         ros_args = ['--ros-args', '--params-file', PROFILE]
         self.recording = recording
         self.nodes = [
             start('nodes.encoder_node', *ros_args, '-r', 'image:=/camera/image_raw'),
             start('nodes.ratslam_node', *ros_args, '-r', 'odom:=/odom'),
             start('nodes.recorder_node', *ros_args, '-p', f'recorder.output:={recording}',
-                  '-p', f'recorder.topics:=[{", ".join(self.TOPICS)}]')]
-        observer.spin_until(lambda: all(map(observer.node.count_subscribers, self.TOPICS)))
+                  '-p', f'recorder.topics:=[{", ".join(recorded)}]')]
+        awaited = {'/code', '/view', *recorded}
+        observer.spin_until(lambda: all(map(observer.node.count_subscribers, awaited)))
 
     def play(self, start, flight, rate):
         assert start('cli.replay', flight, '--rate', rate,
@@ -79,18 +80,19 @@ class Graph:
         encoder, ratslam, recorder = self.nodes
         return [node.stop() for node in (ratslam, encoder, recorder)]
 
-    def recorded(self):
-        """Return (poses by stamp, last path, last map)."""
-        poses, last = {}, {}
-        for message in read_bag(self.recording, ['/pose', '/path', '/experience_map']):
-            msg = deserialize(message.data, message.type_name)
-            last[type(msg)] = msg
-            if isinstance(msg, PoseWithCovarianceStamped):
-                position = msg.pose.pose.position
-                stamp_ns = stamp_to_ns(msg.header.stamp)
-                assert not poses or stamp_ns > max(poses)
-                poses[stamp_ns] = (position.x, position.y, position.z)
-        return poses, last[PathMsg], last[MarkerArray]
+    def recorded(self, topic):
+        return [deserialize(message.data, message.type_name)
+                for message in read_bag(self.recording, [topic])]
+
+    def poses(self):
+        """Return stamp -> (x, y, z); the stamps must rise."""
+        poses = {}
+        for msg in self.recorded('/pose'):
+            position = msg.pose.pose.position
+            stamp_ns = stamp_to_ns(msg.header.stamp)
+            assert not poses or stamp_ns > next(reversed(poses))
+            poses[stamp_ns] = (position.x, position.y, position.z)
+        return poses
 
 
 def xy(points):
@@ -103,7 +105,7 @@ def test_the_live_graph_gives_what_the_pipeline_gives_at_any_rate(
     graph = Graph(start, observer, tmp_path / 'recording')
     graph.play(start, flight, rate)
     assert graph.stop() == [0, 0, 0]
-    poses, path, experience_map = graph.recorded()
+    path, experience_map = (graph.recorded(topic)[-1] for topic in ('/path', '/experience_map'))
 
     result = map_codes(encoded, Config())
     assert result.counts['closures'] > 0
@@ -114,9 +116,34 @@ def test_the_live_graph_gives_what_the_pipeline_gives_at_any_rate(
     np.testing.assert_array_equal(
         xy(pose.pose.position for pose in path.poses), result.experiences[:, :2])
 
+    poses = graph.poses()
     assert poses.keys() == expected_poses.keys()
     np.testing.assert_allclose(
         list(poses.values()), [expected_poses[stamp] for stamp in poses], rtol=0, atol=1e-6)
+
+
+def test_a_recorder_that_stands_still_is_sent_what_it_missed(
+        start, observer, tmp_path, flight, expected_poses):
+    graph = Graph(start, observer, tmp_path / 'recording', ['/pose'])
+    recorder = graph.nodes[-1]
+    poses = observer.collect(PoseWithCovarianceStamped, 'pose')
+    reports = observer.collect(DiagnosticArray, '/diagnostics')
+    replay = start('cli.replay', flight, '--rate', 'max')
+    observer.spin_until(lambda: len(poses) > 100)
+    recorder.send(signal.SIGSTOP)
+    observer.spin_until(lambda: len(poses) > 700)
+    recorder.send(signal.SIGCONT)
+    observer.spin_until(lambda: not replay.is_running())
+    observer.spin_until(lambda: n_recorded(reports) >= len(poses))
+    assert graph.stop() == [0, 0, 0]
+    assert graph.poses().keys() == expected_poses.keys()
+
+
+def n_recorded(reports):
+    """Return the number of messages that the recorder last said it had."""
+    return max((int(value.value) for report in reports for status in report.status
+                if status.name == '/recorder'
+                for value in status.values if value.key == 'messages'), default=0)
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

@@ -5,6 +5,7 @@ import signal
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dlsc_qbs_ros.io.bag import bag_topics, latched_topics, read_bag
+from dlsc_qbs_ros.nodes.recorder_node import RecorderNode
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.serialization import deserialize
 from geometry_msgs.msg import PoseStamped
@@ -12,6 +13,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 import numpy as np
 import pytest
+import rclpy
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
@@ -93,6 +97,27 @@ def test_what_was_published_is_recorded_message_for_message(
     assert decoded == [name.data for name in names]
     information = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
     assert information['rosbag2_bagfile_information']['message_count'] == 2 * N
+
+
+def test_what_waits_when_the_end_comes_is_recorded(domain_id, observer, tmp_path):
+    publisher = observer.advertise(String, '/name')
+    rclpy.init(domain_id=domain_id, args=[
+        '--ros-args', '-p', f'recorder.output:={tmp_path / "bag"}',
+        '-p', "recorder.topics:=['/name']"])
+    try:
+        recorder = RecorderNode()
+        executor = SingleThreadedExecutor()
+        executor.add_node(recorder)
+        observer.spin_until(
+            lambda: executor.spin_once(0.02) or publisher.get_subscription_count())
+        for k in range(N):  # nobody spins the recorder any more
+            publisher.publish(String(data=str(k)))
+        assert publisher.wait_for_all_acked(Duration(seconds=30))
+        executor.shutdown()
+        recorder.destroy_node()
+    finally:
+        rclpy.shutdown()
+    assert names_in(tmp_path / 'bag') == [str(k) for k in range(N)]
 
 
 def test_a_regex_matches_whole_names(recorder, observer, tmp_path):
