@@ -95,6 +95,8 @@ class EncoderConfig(Section):
     mode: str = parameter(
         'epochs', 'epochs: converged codes under a dictionary held for an epoch; '
         'paper: the codes of Algorithm 1 as they come', choices=('epochs', 'paper'))
+    protection: bool = parameter(
+        True, 'go back to the last snapshot when learning runs away; may be off in paper mode')
     gate: bool = parameter(True, 'learn only while the Quadratic Bayesian Surprise is positive')
     n_atoms: int = parameter(64, 'atoms M of the dictionary', bounds=(1, 4096))
     eta_c: float = parameter(5e-3, 'coding rate', bounds=(1e-9, 10.0))
@@ -109,6 +111,11 @@ class EncoderConfig(Section):
     epoch_change: float = parameter(
         0.25, 'relative change of the dictionary that starts a new epoch', bounds=(1e-3, 10.0))
     seed: int = parameter(0, 'seed of the initial dictionary', bounds=(0, 2**31 - 1))
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not self.protection and self.mode != 'paper':
+            raise ConfigError(f'encoder.protection = False: expected True in mode {self.mode!r}')
 
 
 @dataclass(frozen=True)

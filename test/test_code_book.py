@@ -56,7 +56,8 @@ def test_no_views_have_no_codes():
 def test_stored_views_are_encoded_as_inputs_are():
     coder = Coder(dictionary(), CONFIG)
     stored = views(3)
-    expected = coder.encode(view_to_inputs(np.array(stored), True))
+    inputs = view_to_inputs(np.array(stored), True).astype(float)
+    expected = coder.encode_products(inputs @ dictionary().atoms.T)
     np.testing.assert_allclose(coder.encode_views(stored), expected, atol=1e-5)
 
 

@@ -4,7 +4,7 @@ from algorithm_1 import prox
 import numpy as np
 import pytest
 
-from dlsc_qbs_ros.core.sparse_coding import lasso, proximal_steps, soft_threshold, squared_errors
+from dlsc_qbs_ros.core.sparse_coding import Lasso, proximal_steps, soft_threshold, squared_errors
 
 LAMBDA_1 = 0.2
 
@@ -76,7 +76,7 @@ def test_squared_errors_are_those_of_the_reprojection():
 def test_lasso_meets_its_optimality_conditions(seed, lambda_1):
     """Where c is not 0, b - G c = lambda_1 sign(c); where it is, |b - G c| <= lambda_1."""
     _, _, b, gram = problem(seed)
-    codes = lasso(b, gram, lambda_1, step_of(gram))
+    codes = Lasso(gram, lambda_1).solve(b)
     pull = b - codes @ gram
     slack = 1e-4 * np.abs(b).max()
     used = codes != 0.0
@@ -88,19 +88,19 @@ def test_lasso_meets_its_optimality_conditions(seed, lambda_1):
 def test_lasso_finds_what_coordinate_descent_finds(lambda_1):
     inputs, atoms, b, gram = problem(3, n_atoms=6)
     expected = [coordinate_descent(s, atoms, lambda_1) for s in inputs]
-    codes = lasso(b, gram, lambda_1, step_of(gram))
+    codes = Lasso(gram, lambda_1).solve(b)
     np.testing.assert_allclose(codes, expected, atol=1e-4 * np.abs(codes).max())
 
 
 def test_lasso_of_orthonormal_atoms_is_the_soft_threshold():
     b = np.random.default_rng(0).normal(size=(5, 4))
     np.testing.assert_allclose(
-        lasso(b, np.eye(4), 0.3, 1.0), soft_threshold(b, 0.3), atol=1e-12)
+        Lasso(np.eye(4), 0.3).solve(b), soft_threshold(b, 0.3), atol=1e-12)
 
 
 def test_no_code_near_by_costs_less():
     inputs, atoms, b, gram = problem(4)
-    codes = lasso(b, gram, LAMBDA_1, step_of(gram))
+    codes = Lasso(gram, LAMBDA_1).solve(b)
     least = objective(codes, inputs, atoms)
     rng = np.random.default_rng(5)
     for size in (1e-3, 1e-2, 1e-1, 1.0):
@@ -111,22 +111,22 @@ def test_no_code_near_by_costs_less():
 
 def test_a_heavy_enough_penalty_leaves_nothing():
     _, _, b, gram = problem(5)
-    assert not lasso(b, gram, np.abs(b).max() * 1.001, step_of(gram)).any()
-    assert lasso(b, gram, np.abs(b).max() * 0.999, step_of(gram)).any()
+    assert not Lasso(gram, np.abs(b).max() * 1.001).solve(b).any()
+    assert Lasso(gram, np.abs(b).max() * 0.999).solve(b).any()
 
 
 def test_a_code_does_not_depend_on_the_scale_of_the_problem():
     """Atoms twice as long under twice the penalty make codes half as long."""
     _, _, b, gram = problem(6)
-    codes = lasso(b, gram, LAMBDA_1, step_of(gram))
-    halved = lasso(2 * b, 4 * gram, 2 * LAMBDA_1, step_of(4 * gram))
+    codes = Lasso(gram, LAMBDA_1).solve(b)
+    halved = Lasso(4 * gram, 2 * LAMBDA_1).solve(2 * b)
     np.testing.assert_allclose(halved, codes / 2, atol=1e-12)
 
 
 def test_nothing_seen_is_coded_as_nothing():
     _, _, b, gram = problem(7)
     b[2] = 0.0
-    codes = lasso(b, gram, LAMBDA_1, step_of(gram))
+    codes = Lasso(gram, LAMBDA_1).solve(b)
     assert not codes[2].any()
     assert codes[[0, 1, 3]].any(axis=1).all()
 
@@ -135,6 +135,6 @@ def test_a_fast_sample_is_as_exact_beside_a_slow_one():
     """A batch goes on until its slowest sample has converged; the others stand still."""
     _, _, b, gram = problem(8)
     step = step_of(gram)
-    together = lasso(b, gram, LAMBDA_1, step)
-    alone = np.concatenate([lasso(row[None], gram, LAMBDA_1, step) for row in b])
+    together = Lasso(gram, LAMBDA_1).solve(b)
+    alone = np.concatenate([Lasso(gram, LAMBDA_1).solve(row[None]) for row in b])
     np.testing.assert_allclose(together, alone, atol=1e-12)

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from .preprocessing import input_scale
+from .preprocessing import input_scale, N_PAPER
+from .projection import gram_of, make_projection
+from .snapshot import NextSnapshot, Relation
 from .sparse_coding import proximal_steps, squared_errors
 from ..config import EncoderConfig
+
+# A snapshot is begun while there is room left for the inputs of so many frames.
+FRAMES_AHEAD = 10
+# The share of the limit of lambda_max that is left in use by falling back.
+HEADROOM = 0.8
 
 
 class DictionaryLearner:
@@ -16,43 +23,85 @@ class DictionaryLearner:
     A step takes a batch of n inputs that belong to one frame: one whole view in the paper's
     algorithm, or the patches of one. The dictionary follows the mean gradient of the batch.
 
+    A learning step adds to each atom multiples of the atoms and of the inputs. So nothing of
+    size N is written: the live atoms are kept as a mix of the rows of a snapshot and of the
+    inputs learned from since, and all else happens in M x M. Only the products of an input with
+    these rows read N numbers a row, and they give its products with the live atoms and with the
+    snapshot's, to which published codes refer, at once. A new snapshot is taken when the live
+    atoms have moved by `epoch_change`, or when there is no room for more inputs; it is made
+    over several frames where it is large.
+
     Attributes
     ----------
-    atoms_ : ndarray of shape (n_atoms, n_inputs), float32
-        The live dictionary, the paper's phi transposed.
-    gram_ : ndarray of shape (n_atoms, n_atoms), float64
-        atoms_ @ atoms_.T, updated beside it.
     codes_ : ndarray of shape (n, n_atoms), float64
         The codes of the last frame, where the next frame's iterations start.
+    gram_ : ndarray of shape (n_atoms, n_atoms), float64
+        atoms_ @ atoms_.T
+    snapshot_ : ndarray of shape (n_atoms, n_inputs), float32
+        The atoms as they were at an earlier frame; never written to.
+    snapshot_gram_ : ndarray of shape (n_atoms, n_atoms), float64
+        snapshot_ @ snapshot_.T
+    snapshot_products_ : ndarray of shape (n, n_atoms), float64
+        Products of the last frame's inputs with the snapshot's atoms.
 
     """
 
     def __init__(self, n_inputs: int, config: EncoderConfig):
         self._config = config
+        self._room = config.n_atoms * min(max(N_PAPER // n_inputs, 1), 8)
         deviation = config.sigma_w * input_scale(n_inputs)
-        self.atoms_ = np.random.default_rng(config.seed).normal(
-            0.0, deviation, (config.n_atoms, n_inputs)).astype(np.float32)
-        self.refresh_gram()
-        self.codes_ = np.zeros((1, config.n_atoms))
-        self._b = np.zeros_like(self.codes_)
+        self.restart(np.random.default_rng(config.seed).normal(
+            0.0, deviation, (config.n_atoms, n_inputs)).astype(np.float32))
+
+    @property
+    def atoms_(self) -> np.ndarray:
+        """Make the live dictionary, the paper's phi transposed: (n_atoms, n_inputs), float32."""
+        atoms = np.empty_like(self.snapshot_)
+        self._rows.combine(self._live.mix[:, :self._n_rows], atoms)
+        return atoms
+
+    @property
+    def lambda_max(self) -> float:
+        """Return the largest eigenvalue of the Gram matrix; infinite when it is not finite."""
+        finite = np.isfinite(self.gram_).all()
+        return float(np.linalg.eigvalsh(self.gram_)[-1]) if finite else np.inf
+
+    @property
+    def lambda_max_limit(self) -> float:
+        """Return 2 / eta_c: coding converges while lambda_max is below."""
+        return 2.0 / self._config.eta_c
 
     @property
     def is_stable(self) -> bool:
-        """Whether coding converges, eta_c < 2 / lambda_max(G): learning has not run away."""
-        limit = 2.0 / self._config.eta_c
-        if np.linalg.norm(self.gram_) < limit:  # a bound on lambda_max, at a fraction of its cost
-            return True
-        return bool(np.isfinite(self.gram_).all() and np.linalg.eigvalsh(self.gram_)[-1] < limit)
+        """Whether eta_c < 2 / lambda_max(G): learning has not run away."""
+        # The Frobenius norm bounds lambda_max from above, at a fraction of its cost.
+        return bool(np.linalg.norm(self.gram_) < self.lambda_max_limit
+                    or self.lambda_max < self.lambda_max_limit)
 
     def restart(self, atoms: np.ndarray) -> None:
         """Go on from these atoms (n_atoms, n_inputs) and zero codes."""
-        self.atoms_ = atoms.copy()
-        self.refresh_gram()
-        self.codes_ = np.zeros_like(self.codes_)
+        self.snapshot_ = atoms.astype(np.float32)
+        self.snapshot_.flags.writeable = False
+        self.snapshot_gram_ = gram_of(self.snapshot_)
+        self._rows = make_projection(self.snapshot_, self._room)
+        self._go_on_from_snapshot(1.0)
 
-    def refresh_gram(self) -> None:
-        """Recompute the Gram matrix from the atoms, which ends its rounding drift."""
-        self.gram_ = (self.atoms_ @ self.atoms_.T).astype(np.float64)
+    def fall_back(self) -> None:
+        """
+        Go on from the atoms of the snapshot and zero codes.
+
+        All are scaled down where their lambda_max is so near the limit that learning would soon
+        be back here: atoms that only ever learn grow without bound.
+        """
+        highest = np.linalg.eigvalsh(self.snapshot_gram_)[-1]
+        self._go_on_from_snapshot(min(1.0, np.sqrt(HEADROOM * self.lambda_max_limit / highest)))
+
+    def _go_on_from_snapshot(self, scale: float) -> None:
+        self._n_kept = 0
+        self._live = Relation(self.snapshot_gram_, self._room, scale)
+        self._next: NextSnapshot | None = None
+        self.gram_ = scale * scale * self.snapshot_gram_
+        self.codes_ = np.zeros((1, self._config.n_atoms))
 
     def infer(self, inputs: np.ndarray) -> float:
         """
@@ -61,32 +110,77 @@ class DictionaryLearner:
         Parameters
         ----------
         inputs : ndarray of shape (n, n_inputs), float32
-            The input vectors s_k of one frame.
+            The input vectors s_k of one frame; at most as many as are kept, `n_atoms` or more.
 
         """
         if len(self.codes_) != len(inputs):
             self.codes_ = np.zeros((len(inputs), self._config.n_atoms))
-        self._b = (inputs @ self.atoms_.T).astype(np.float64)
+        self._tend_snapshot()
+        self._products = self._rows.products(inputs, self._n_kept)
+        self.snapshot_products_ = self._products[:, :self._config.n_atoms]
+        self._b = self._products @ self._live.mix[:, :self._n_rows].T
+        self._among = (inputs @ inputs.T).astype(np.float64)
         self.codes_ = proximal_steps(
             self.codes_, self._b, self.gram_,
             self._config.eta_c, self._config.lambda_1, self._config.n_coding)
-        energy = np.einsum('nk,nk->n', inputs, inputs, dtype=np.float64)
-        return float(np.mean(squared_errors(self.codes_, self._b, self.gram_, energy)))
+        return float(np.mean(squared_errors(
+            self.codes_, self._b, self.gram_, np.diagonal(self._among))))
 
     def learn(self, inputs: np.ndarray) -> None:
         """
         Take `n_learning` gradient steps on the dictionary from the batch just inferred.
 
-        Lines 5 to 11. With residuals r = c phi - s and the mean gradient D = c^T r / n, phi
-        becomes phi - eta_d D, and in M x M alone G becomes
-        G - eta_d (D phi^T + phi D^T) + eta_d^2 D D^T, where D phi^T = c^T (c G - b) / n.
+        Lines 5 to 11. With residuals r = c phi - s, phi becomes phi - eta_d c^T r / n, and the
+        products with it follow: g = r phi^T = c G - b, s r^T = b c^T - s s^T, and
+        r r^T = g c^T - r s^T.
         """
-        rate = self._config.eta_d / len(inputs)
-        codes = self.codes_
+        codes, rate = self.codes_, self._config.eta_d / len(inputs)
+        relations = [(self._live, self.snapshot_products_)]
+        if self._next is not None:
+            relations.append((self._next.live, self._next.products(self._products)))
+        self._rows.keep(self._n_kept, inputs)
         for _ in range(self._config.n_learning):
-            residuals = codes.astype(np.float32) @ self.atoms_ - inputs
-            cross = codes.T @ (codes @ self.gram_ - self._b)
-            among = codes.T @ (residuals @ residuals.T).astype(np.float64) @ codes
-            self.atoms_ -= (rate * codes.T).astype(np.float32) @ residuals
-            self.gram_ += rate * rate * among - rate * (cross + cross.T)
-            self._b -= rate * (inputs @ residuals.T).astype(np.float64) @ codes
+            g = codes @ self.gram_ - self._b
+            input_residuals = self._b @ codes.T - self._among
+            residuals = g @ codes.T - input_residuals.T
+            for relation, products in relations:
+                relation.learn(codes, products, self._n_kept, rate)
+            cross = codes.T @ g
+            self.gram_ += (rate * rate * codes.T @ residuals @ codes) - rate * (cross + cross.T)
+            self._b -= rate * input_residuals @ codes
+        self._n_kept += len(inputs)
+
+    @property
+    def _n_rows(self) -> int:
+        return self._config.n_atoms + self._n_kept
+
+    @property
+    def _drift(self) -> float:
+        """How far the live atoms are from the snapshot's, relative to these (Frobenius norm)."""
+        held = np.trace(self.snapshot_gram_)
+        squared = np.trace(self.gram_) - 2.0 * np.trace(self._live.cross) + held
+        return np.sqrt(max(squared, 0.0) / held)
+
+    def _tend_snapshot(self) -> None:
+        """Begin a snapshot when it is due, and do a frame's work on one that was begun."""
+        n_frame = len(self.codes_)
+        if self._next is None:
+            if (self._drift <= self._config.epoch_change
+                    and self._n_kept + FRAMES_AHEAD * n_frame <= self._room):
+                return
+            self._next = NextSnapshot(
+                self._rows, self._live.mix[:, :self._n_rows], self.gram_, self._room)
+        self._next.make_atoms()
+        while self._n_kept + n_frame > self._room and not self._next.is_whole:
+            self._next.make_atoms()
+        if self._next.is_whole:
+            self._adopt(self._next)
+
+    def _adopt(self, snapshot: NextSnapshot) -> None:
+        """Go on from a new snapshot, with the inputs learned from since it was begun."""
+        kept = slice(snapshot.n_kept, self._n_kept)
+        self._rows.replace(snapshot.atoms, kept)
+        snapshot.live.move_kept(kept)
+        self._n_kept -= snapshot.n_kept
+        self.snapshot_, self.snapshot_gram_ = snapshot.atoms, snapshot.gram
+        self._live, self._next = snapshot.live, None

@@ -93,9 +93,9 @@ def view_to_inputs(views: np.ndarray, standardise: bool) -> np.ndarray:
     inputs = views.reshape(len(views), -1).astype(np.float32)
     if standardise:
         inputs -= inputs.mean(axis=1, keepdims=True)
-        deviation = np.sqrt(np.mean(inputs * inputs, axis=1, keepdims=True))
-        inputs *= DEVIATION / np.maximum(deviation, MIN_CONTRAST)
+        deviation = np.sqrt(np.einsum('nk,nk->n', inputs, inputs) / inputs.shape[1])
+        scale = DEVIATION / np.maximum(deviation, MIN_CONTRAST)
     else:
-        inputs /= 255.0
-    inputs *= input_scale(inputs.shape[1])
+        scale = np.full(len(views), 1.0 / 255.0)
+    inputs *= (scale * input_scale(inputs.shape[1])).astype(np.float32)[:, None]
     return inputs

@@ -13,7 +13,7 @@ from ..core.dictionary import DictionaryLearner
 from ..core.preprocessing import make_view, view_to_inputs
 from ..core.surprise import SurpriseGate
 from ..core.types import Code, Dictionary, Frame, View
-from ..errors import StampError
+from ..errors import ConfigError, StampError
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Encoder:
     DLSC-QBS on a stream of frames.
 
     The learner runs Algorithm 1 as printed on its live dictionary. What is published are the
-    converged codes under a snapshot of it that is held for an epoch, so that codes of one epoch
-    can be compared; in `paper` mode, the learner's own codes. A learner that runs away starts
-    again from the last snapshot, except in `paper` mode, where the paper has nothing against it.
+    converged codes under its last snapshot, held for an epoch, so that codes of one epoch can be
+    compared; in `paper` mode, the learner's own codes. A learner that runs away goes back to the
+    snapshot before anything of it goes out; without `protection`, as in the paper, it does not.
     """
 
     def __init__(self, config: Config):
@@ -51,6 +51,25 @@ class Encoder:
         self._order = StampOrder()
         self._coder: Coder | None = None
         self._epoch = 0
+        if config.encoder.protection and not self._learner.is_stable:
+            raise ConfigError(
+                f'encoder.eta_c = {config.encoder.eta_c:g}: expected less than 2 / lambda_max = '
+                f'{2.0 / self.lambda_max:.3g} of the first dictionary')
+
+    @property
+    def atoms(self) -> np.ndarray:
+        """Make the live dictionary for the caller: (n_atoms, n_inputs), float32."""
+        return self._learner.atoms_
+
+    @property
+    def lambda_max(self) -> float:
+        """Return the largest eigenvalue of the live Gram matrix."""
+        return self._learner.lambda_max
+
+    @property
+    def lambda_max_limit(self) -> float:
+        """Return the `lambda_max` from which on the learner counts as run away."""
+        return self._learner.lambda_max_limit
 
     def process(self, frame: Frame) -> Encoded:
         """
@@ -69,16 +88,17 @@ class Encoder:
             raise StampError(f'stamp {frame.stamp_ns} ns: expected one after '
                              f'{self._order.newest_ns} ns')
         inputs = view_to_inputs(view[None], self._config.view.standardise)
-        dictionary = self._start_epoch(frame.stamp_ns) if self._is_epoch_over() else None
         error = self._learner.infer(inputs)
-        values, dictionary_ns = self._published_code(inputs)
+        dictionary = self._new_dictionary(frame.stamp_ns)
+        values, dictionary_ns = self._published_code()
         learned = self._gate.is_open or not self._config.encoder.gate
         if learned:
-            self._learner.learn(inputs)
+            with np.errstate(over='ignore', invalid='ignore'):  # noticed below
+                self._learner.learn(inputs)
         self._gate.observe(error)
-        ran_away = not self._learner.is_stable
-        if ran_away and self._coder is not None:
-            self._learner.restart(self._coder.dictionary.atoms)
+        ran_away = self._config.encoder.protection and not self._learner.is_stable
+        if ran_away:
+            self._learner.fall_back()
             self._gate = SurpriseGate(self._config.encoder.gate_window)
         return Encoded(
             code=Code(frame.stamp_ns, values.astype(np.float32), dictionary_ns),
@@ -86,24 +106,19 @@ class Encoder:
             surprise=self._gate.surprise, learned=learned, ran_away=ran_away,
             epoch=self._epoch)
 
-    def _published_code(self, inputs: np.ndarray) -> tuple[np.ndarray, int | None]:
+    def _published_code(self) -> tuple[np.ndarray, int | None]:
         if self._coder is None:
             return self._learner.codes_[0], None
-        return self._coder.encode(inputs)[0], self._coder.dictionary.stamp_ns
+        code, = self._coder.encode_products(self._learner.snapshot_products_)
+        return code, self._coder.dictionary.stamp_ns
 
-    def _is_epoch_over(self) -> bool:
-        """Whether the live dictionary has moved too far from the one that codes refer to."""
-        if self._config.encoder.mode == 'paper':
-            return False
-        if self._coder is None:
-            return True
-        held = self._coder.dictionary.atoms
-        change = np.linalg.norm(self._learner.atoms_ - held)
-        return change > self._config.encoder.epoch_change * np.linalg.norm(held)
-
-    def _start_epoch(self, stamp_ns: int) -> Dictionary:
-        self._learner.refresh_gram()
-        dictionary = Dictionary(stamp_ns, self._learner.atoms_.copy())
-        self._coder = Coder(dictionary, self._config)
+    def _new_dictionary(self, stamp_ns: int) -> Dictionary | None:
+        """Start an epoch when the learner has taken a snapshot since the last one began."""
+        atoms = self._learner.snapshot_
+        if self._config.encoder.mode == 'paper' or (
+                self._coder is not None and self._coder.dictionary.atoms is atoms):
+            return None
+        dictionary = Dictionary(stamp_ns, atoms)
+        self._coder = Coder(dictionary, self._config, self._learner.snapshot_gram_)
         self._epoch += 1
         return dictionary

@@ -1,0 +1,93 @@
+"""How live atoms relate to those of a snapshot, and how the next snapshot is made of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .preprocessing import N_PAPER
+from .projection import Projection
+
+# Numbers of a new snapshot that are made per frame: an eighth of all at the paper's size.
+NUMBERS_PER_FRAME = 8 * N_PAPER
+
+
+class Relation:
+    """
+    Live atoms in terms of a snapshot's atoms and of kept inputs.
+
+    Attributes
+    ----------
+    mix : ndarray of shape (n_atoms, n_atoms + room), float64
+        live = mix @ [snapshot; kept inputs]
+    cross : ndarray of shape (n_atoms, n_atoms), float64
+        live @ snapshot.T
+
+    """
+
+    def __init__(self, gram: np.ndarray, room: int, scale: float = 1.0):
+        """Begin with the atoms of the snapshot, whose Gram matrix is given, times a scale."""
+        self.mix = scale * np.eye(len(gram), len(gram) + room)
+        self.cross = scale * gram
+
+    def learn(self, codes: np.ndarray, products: np.ndarray, slot: int, rate: float) -> None:
+        """
+        Take the step live -= rate * codes.T @ (codes @ live - inputs).
+
+        Parameters
+        ----------
+        codes : ndarray of shape (n, n_atoms), float64
+            The codes of the inputs learned from.
+        products : ndarray of shape (n, n_atoms), float64
+            Products of the inputs with the snapshot's atoms.
+        slot : int
+            Where the first of these inputs is kept; the others follow.
+        rate : float
+            The learning rate, over n.
+
+        """
+        n, n_atoms = codes.shape
+        first = n_atoms + slot
+        residuals = codes @ self.mix[:, :first + n]
+        residuals[:, first:] -= np.eye(n)
+        self.mix[:, :first + n] -= (rate * codes.T) @ residuals
+        self.cross -= (rate * codes.T) @ (codes @ self.cross - products)
+
+    def move_kept(self, kept: slice) -> None:
+        """Follow the inputs in these slots, the only ones in use, to the first ones."""
+        n_atoms = len(self.mix)
+        weights = self.mix[:, n_atoms:][:, kept].copy()
+        self.mix[:, n_atoms:] = 0.0
+        self.mix[:, n_atoms:n_atoms + weights.shape[1]] = weights
+
+
+class NextSnapshot:
+    """
+    A snapshot in the making: the live atoms as they were when it was begun.
+
+    It is made a few atoms at a time, so that no frame waits for all of it. Meanwhile the live
+    atoms learn on; `live` is their relation to this snapshot.
+    """
+
+    def __init__(self, rows: Projection, mix: np.ndarray, gram: np.ndarray, room: int):
+        self._rows, self._mix = rows, mix.copy()
+        self._n_made = 0
+        self.n_kept = mix.shape[1] - len(gram)
+        self.atoms = np.empty_like(rows.atoms)
+        self.gram = gram.copy()
+        self.live = Relation(gram, room)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every atom has been made."""
+        return self._n_made == len(self.atoms)
+
+    def make_atoms(self) -> None:
+        """Make the next few atoms; seal the snapshot after the last."""
+        few = slice(self._n_made, self._n_made + max(1, NUMBERS_PER_FRAME // self.atoms.shape[1]))
+        self._rows.combine(self._mix[few], self.atoms[few])
+        self._n_made = min(few.stop, len(self.atoms))
+        self.atoms.flags.writeable = not self.is_whole
+
+    def products(self, products: np.ndarray) -> np.ndarray:
+        """Return the products of inputs with its atoms, from those with the rows it is made of."""
+        return products[:, :self._mix.shape[1]] @ self._mix.T
