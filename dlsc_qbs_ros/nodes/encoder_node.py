@@ -9,6 +9,7 @@ import time
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage, Image
 
+from .encoder_scope import EncoderScope
 from ..errors import DlscQbsError, ImageError, StampError
 from ..pipeline.encoder import Encoded, Encoder
 from ..ros.conversions import code_to_msg, dictionary_to_msg, view_to_msg
@@ -38,6 +39,7 @@ class EncoderNode(Node):
         self._dictionary_publisher = create_publisher(self, Image, 'dictionary', DICTIONARY)
         self._view_publisher = create_publisher(self, Image, 'view', OUTPUT)
         self._code_publisher = create_publisher(self, Image, 'code', OUTPUT)
+        self._scope = EncoderScope(self, self._encoder, config.view)
         create_subscription(self, CompressedImage if config.image.compressed else Image, 'image',
                             self._on_image, IMAGE_INPUT)
         publish_diagnostics(self, self._report)
@@ -58,6 +60,7 @@ class EncoderNode(Node):
         self._counts['learned'] += encoded.learned
         self._counts['ran_away'] += encoded.ran_away
         self._counts['latency_ns'] += time.time_ns() - received_ns(info)
+        self._scope.show(encoded)  # last: nobody waits for it
 
     def _refuse(self, cause: str, error: DlscQbsError) -> None:
         self._counts[f'refused_{cause}'] += 1
@@ -84,6 +87,10 @@ class EncoderNode(Node):
         values['rate_hz'] = encoded / PERIOD_S
         values['latency_ms'] = new['latency_ns'] * 1e-6 / encoded if encoded else 0.0
         values['gate_open_share'] = new['learned'] / encoded if encoded else 0.0
+        lambda_max, limit = self._encoder.lambda_max, self._encoder.lambda_max_limit
+        values.update(lambda_max=lambda_max, lambda_max_limit=limit)
+        if lambda_max >= limit:  # as it stays where nothing protects the learner
+            problems.append(f'lambda_max {lambda_max:.6g} is not below {limit:.6g}')
         if self._last is not None:
             values.update(surprise=self._last.surprise, epoch=self._last.epoch,
                           reprojection_error=self._last.reprojection_error)

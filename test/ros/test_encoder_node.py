@@ -1,17 +1,21 @@
 """The encoder node, as a process: codes carry the stamps of images, and no image kills it."""
 
 from array import array
+from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dlsc_qbs_ros.config import Config
+from dlsc_qbs_ros.core.mosaic import mosaic
 from dlsc_qbs_ros.core.types import Frame
+from dlsc_qbs_ros.nodes import encoder_scope
 from dlsc_qbs_ros.pipeline.encoder import Encoder
 from dlsc_qbs_ros.ros.conversions import code_from_msg, dictionary_from_msg, view_from_msg
-from dlsc_qbs_ros.ros.image_conversions import image_to_msg
+from dlsc_qbs_ros.ros.image_conversions import image_to_grey, image_to_msg
+from dlsc_qbs_ros.ros.stamps import stamp_to_ns
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage, Image, JointState
 
 RELIABLE = ['-p', 'qos_overrides./image.subscription.reliability:=reliable',
             '-p', 'qos_overrides./image.subscription.depth:=1000']
@@ -23,6 +27,10 @@ def frames(n, seed=0):
     rng = np.random.default_rng(seed)
     return [Frame(START_NS + k * PERIOD_NS, rng.integers(0, 256, (65, 86), dtype=np.uint8))
             for k in range(n)]
+
+
+def stamp_of(msg):
+    return stamp_to_ns(msg.header.stamp)
 
 
 def to_msg(frame):
@@ -149,6 +157,30 @@ def test_the_report_tells_how_it_goes(graph):
     assert {'surprise', 'epoch', 'reprojection_error', 'learned'} <= set(values)
 
 
+def test_the_report_holds_the_step_size_against_its_limit(graph):
+    encoder, sent = Encoder(Config()), frames(10)
+    for frame in sent:
+        encoder.process(frame)
+    graph.send(map(to_msg, sent))
+    level, values = graph.report(lambda values: values['encoded'] == '10')
+    assert (level, values['ran_away']) == (DiagnosticStatus.OK, '0')
+    assert float(values['lambda_max']) == pytest.approx(encoder.lambda_max, rel=1e-5)
+    assert values['lambda_max_limit'] == '400'  # 2 / eta_c
+
+
+@pytest.mark.parametrize('protection', [True, False])
+def test_learning_that_runs_away_is_reported(start, observer, protection):
+    graph = Graph(start, observer, '-p', 'encoder.eta_d:=1.0', '-p', 'encoder.mode:=paper',
+                  '-p', f'encoder.protection:={protection}'.lower())
+    graph.send(map(to_msg, frames(20)))
+    _, values = graph.report(lambda values: values['encoded'] == '20')
+    messages = ', '.join(report.status[0].message for report in graph.reports)
+    # Protected, the learner has gone back to where it was well.
+    assert (int(values['ran_away']) > 0) == protection == ('ran away' in messages)
+    assert (float(values['lambda_max']) < 400.0) == protection
+    assert ('lambda_max' in messages) != protection
+
+
 def test_compressed_images_are_encoded_and_bad_ones_refused(start, observer):
     import cv2
     graph = Graph(start, observer, '-p', 'image.compressed:=true', image_type=CompressedImage)
@@ -178,3 +210,117 @@ def test_an_image_from_a_best_effort_camera_is_encoded(start, observer):
         camera.publish(next(pending))
         return graph.codes
     observer.spin_until(encoded)
+
+
+def test_the_scalars_of_each_frame_are_those_of_the_pipeline(start, observer):
+    learning = observer.collect(JointState, 'learning')
+    graph, sent = Graph(start, observer), frames(30)
+    graph.send(map(to_msg, sent))
+    observer.spin_until(lambda: learning and stamp_of(learning[-1]) == sent[-1].stamp_ns)
+
+    encoder = Encoder(Config())
+    expected = [encoder.process(frame) for frame in sent]
+    assert {e.learned for e in expected} == {True, False}
+    expected = expected[-len(learning):]  # the first may be lost while the two find each other
+    assert [stamp_of(message) for message in learning] == [e.code.stamp_ns for e in expected]
+    for message, e in zip(learning, expected):
+        assert dict(zip(message.name, message.position)) == {
+            'reprojection_error': e.reprojection_error, 'surprise': e.surprise,
+            'gate': e.learned, 'epoch': e.epoch}
+
+
+def test_the_dictionary_image_shows_the_atoms_as_the_frame_of_its_stamp_left_them(
+        start, observer):
+    pictures = observer.collect(Image, 'dictionary_image')
+    graph, sent = Graph(start, observer), frames(1000)
+    pending = map(to_msg, sent)
+
+    def shown():
+        graph.images.publish(next(pending))
+        return pictures
+    observer.spin_until(shown)
+
+    encoder, picture = Encoder(Config()), pictures[0]
+    for frame in sent[:(stamp_of(picture) - START_NS) // PERIOD_NS + 1]:
+        encoder.process(frame)
+    assert (picture.encoding, picture.height, picture.width) == ('mono8', 8 * 33 - 1, 8 * 44 - 1)
+    np.testing.assert_array_equal(image_to_grey(picture), mosaic(encoder.atoms, 32, 43))
+
+
+def test_the_names_of_what_is_shown_are_relative(start, observer):
+    start('nodes.encoder_node', '--ros-args', '-r', '__ns:=/drone')
+    observer.spin_until(lambda: all(observer.node.count_publishers(f'/drone/{topic}')
+                                    for topic in ('learning', 'dictionary_image')))
+
+
+class Scope:
+    """An encoder's scope in the test's own process, and the stamps of what it has built."""
+
+    def __init__(self, observer, monkeypatch, **overrides):
+        self.now_s = 1e6
+        self.scalars, self.pictures = [], []
+        for name, built in (('scalars_to_msg', self.scalars), ('atoms_to_msg', self.pictures)):
+            monkeypatch.setattr(
+                encoder_scope, name, self._noted(getattr(encoder_scope, name), built))
+        monkeypatch.setattr(
+            encoder_scope, 'time', SimpleNamespace(monotonic=lambda: self.now_s))
+        config = Config().override({f'encoder.{key}': value for key, value in overrides.items()})
+        self._encoder = Encoder(config)
+        self._scope = encoder_scope.EncoderScope(observer.node, self._encoder, config.view)
+
+    def _noted(self, to_msg, built):
+        def build(stamp_ns, *args):
+            built.append(stamp_ns)
+            return to_msg(stamp_ns, *args)
+        return build
+
+    def show(self, frame):
+        """Return the frame's stamp when the frame has started an epoch."""
+        encoded = self._encoder.process(frame)
+        self._scope.show(encoded)
+        return encoded.dictionary and encoded.code.stamp_ns
+
+
+def watch(observer, msg_type, topic):
+    observer.collect(msg_type, topic)
+    observer.spin_until(lambda: observer.node.count_subscribers(topic))
+
+
+def look_away(observer):
+    for subscription in list(observer.node.subscriptions):
+        observer.node.destroy_subscription(subscription)
+    for topic in ('learning', 'dictionary_image'):
+        observer.spin_until(lambda: not observer.node.count_subscribers(topic))
+
+
+def test_nothing_is_built_that_nobody_subscribes_to(observer, monkeypatch):
+    scope, (a, b, c, d) = Scope(observer, monkeypatch), frames(4)
+    scope.show(a)
+    assert (scope.scalars, scope.pictures) == ([], [])
+    watch(observer, JointState, 'learning')
+    scope.show(b)
+    assert (scope.scalars, scope.pictures) == ([b.stamp_ns], [])
+    watch(observer, Image, 'dictionary_image')
+    scope.show(c)
+    assert (scope.scalars, scope.pictures) == ([b.stamp_ns, c.stamp_ns], [c.stamp_ns])
+    look_away(observer)
+    scope.now_s += 10.0
+    scope.show(d)
+    assert (scope.scalars, scope.pictures) == ([b.stamp_ns, c.stamp_ns], [c.stamp_ns])
+
+
+def test_a_picture_is_made_once_a_second_of_wall_time(observer, monkeypatch):
+    scope, sent = Scope(observer, monkeypatch, mode='paper'), frames(30)
+    watch(observer, Image, 'dictionary_image')
+    for frame in sent:
+        scope.show(frame)
+        scope.now_s += 0.125
+    assert scope.pictures == [frame.stamp_ns for frame in sent[::8]]
+
+
+def test_a_picture_is_made_when_an_epoch_starts(observer, monkeypatch):
+    scope = Scope(observer, monkeypatch, epoch_change=0.01)
+    watch(observer, Image, 'dictionary_image')
+    epochs = [stamp for stamp in map(scope.show, frames(30)) if stamp is not None]
+    assert len(epochs) > 1
+    assert scope.pictures == epochs
