@@ -12,6 +12,7 @@ from ..config import EncoderConfig
 
 # A snapshot is begun while there is room left for the inputs of so many frames.
 FRAMES_AHEAD = 10
+TOUCHED_PER_FRAME = 1 << 18
 # The share of the limit of lambda_max that is left in use by falling back.
 HEADROOM = 0.8
 
@@ -84,6 +85,7 @@ class DictionaryLearner:
         self.snapshot_.flags.writeable = False
         self.snapshot_gram_ = gram_of(self.snapshot_)
         self._rows = make_projection(self.snapshot_, self._room)
+        self._spare, self._n_touched = np.empty_like(self.snapshot_), 0
         self._go_on_from_snapshot(1.0)
 
     def fall_back(self) -> None:
@@ -165,14 +167,15 @@ class DictionaryLearner:
         """Begin a snapshot when it is due, and do a frame's work on one that was begun."""
         n_frame = len(self.codes_)
         if self._next is None:
+            self._touch_spare()
             if (self._drift <= self._config.epoch_change
                     and self._n_kept + FRAMES_AHEAD * n_frame <= self._room):
                 return
             self._next = NextSnapshot(
-                self._rows, self._live.mix[:, :self._n_rows], self.gram_, self._room)
-        self._next.make_atoms()
+                self._spare, self._rows, self._live.mix[:, :self._n_rows], self.gram_, self._room)
+        self._next.make_columns()
         while self._n_kept + n_frame > self._room and not self._next.is_whole:
-            self._next.make_atoms()
+            self._next.make_columns()
         if self._next.is_whole:
             self._adopt(self._next)
 
@@ -184,3 +187,10 @@ class DictionaryLearner:
         self._n_kept -= snapshot.n_kept
         self.snapshot_, self.snapshot_gram_ = snapshot.atoms, snapshot.gram
         self._live, self._next = snapshot.live, None
+        self._spare, self._n_touched = np.empty_like(self.snapshot_), 0
+
+    def _touch_spare(self) -> None:
+        """Use some more of the memory for the next snapshot, or its first frame would map it all."""
+        end = self._n_touched + TOUCHED_PER_FRAME
+        self._spare.reshape(-1)[self._n_touched:end] = 0.0
+        self._n_touched = end

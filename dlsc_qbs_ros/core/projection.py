@@ -10,7 +10,7 @@ from . import kernel
 # product falls with sqrt(n_inputs), and lies below that of a sum in 32 bits.
 LONG = 16384
 # Columns that are combined at a time: those of all rows stay in the second-level cache.
-COLUMNS = 2048
+COLUMNS = 1024
 
 
 class Projection:
@@ -38,14 +38,16 @@ class Projection:
         parts = (inputs @ self.atoms.T, inputs @ self._kept[:n_kept].T)
         return np.concatenate(parts, axis=1).astype(np.float64)
 
-    def combine(self, weights: np.ndarray, out: np.ndarray) -> None:
-        """Write weights (m, n_atoms + n_kept) @ rows to out (m, n_inputs), float32."""
-        weights = weights.astype(np.float32)
-        n_atoms, n_rows = len(self.atoms), weights.shape[1]
-        for start in range(0, out.shape[1], COLUMNS):
-            columns = slice(start, start + COLUMNS)
-            out[:, columns] = weights[:, :n_atoms] @ self.atoms[:, columns]
-            out[:, columns] += weights[:, n_atoms:] @ self._kept_inputs(n_rows - n_atoms, columns)
+    def combine(self, weights: np.ndarray, out: np.ndarray, start: int = 0,
+                stop: int | None = None) -> None:
+        """Write columns of weights (m, n_atoms + n_kept) @ rows to out (m, n_inputs), float32."""
+        of_atoms, of_inputs = np.split(weights.astype(np.float32), [len(self.atoms)], axis=1)
+        stop = out.shape[1] if stop is None else stop
+        for first in range(start, stop, COLUMNS):
+            columns = slice(first, min(first + COLUMNS, stop))
+            block = of_atoms @ self.atoms[:, columns]
+            block += of_inputs @ self._kept_inputs(of_inputs.shape[1], columns)
+            out[:, columns] = block
 
     def _kept_inputs(self, n_kept: int, columns: slice) -> np.ndarray:
         return self._kept[:n_kept, columns]

@@ -7,8 +7,8 @@ import numpy as np
 from .preprocessing import N_PAPER
 from .projection import Projection
 
-# Numbers of a new snapshot that are made per frame: an eighth of all at the paper's size.
-NUMBERS_PER_FRAME = 8 * N_PAPER
+# Columns of a new snapshot that are made per frame: an eighth of all at the paper's size.
+COLUMNS_PER_FRAME = N_PAPER // 8
 
 
 class Relation:
@@ -64,28 +64,30 @@ class NextSnapshot:
     """
     A snapshot in the making: the live atoms as they were when it was begun.
 
-    It is made a few atoms at a time, so that no frame waits for all of it. Meanwhile the live
+    It is made some columns at a time, so that no frame waits for all of it. Meanwhile the live
     atoms learn on; `live` is their relation to this snapshot.
     """
 
-    def __init__(self, rows: Projection, mix: np.ndarray, gram: np.ndarray, room: int):
+    def __init__(self, atoms: np.ndarray, rows: Projection, mix: np.ndarray, gram: np.ndarray,
+                 room: int):
+        """Begin to write `mix` times the rows to `atoms`; `gram` is what theirs will be."""
         self._rows, self._mix = rows, mix.copy()
-        self._n_made = 0
+        self._n_columns = 0
         self.n_kept = mix.shape[1] - len(gram)
-        self.atoms = np.empty_like(rows.atoms)
+        self.atoms = atoms
         self.gram = gram.copy()
         self.live = Relation(gram, room)
 
     @property
     def is_whole(self) -> bool:
-        """Whether every atom has been made."""
-        return self._n_made == len(self.atoms)
+        """Whether every column has been made."""
+        return self._n_columns == self.atoms.shape[1]
 
-    def make_atoms(self) -> None:
-        """Make the next few atoms; seal the snapshot after the last."""
-        few = slice(self._n_made, self._n_made + max(1, NUMBERS_PER_FRAME // self.atoms.shape[1]))
-        self._rows.combine(self._mix[few], self.atoms[few])
-        self._n_made = min(few.stop, len(self.atoms))
+    def make_columns(self) -> None:
+        """Make the next columns; seal the snapshot after the last."""
+        stop = min(self._n_columns + COLUMNS_PER_FRAME, self.atoms.shape[1])
+        self._rows.combine(self._mix, self.atoms, self._n_columns, stop)
+        self._n_columns = stop
         self.atoms.flags.writeable = not self.is_whole
 
     def products(self, products: np.ndarray) -> np.ndarray:
