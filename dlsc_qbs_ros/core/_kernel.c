@@ -1,4 +1,8 @@
-/* Products of 16-bit rows with an input: half the memory of 32-bit ones, read once. Optional. */
+/*
+ * What an encoder does once a frame, compiled; optional. Each function does what the one of its
+ * name in the modules beside it does with numpy, where it is described.
+ */
+#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
@@ -11,11 +15,10 @@
 
 enum {
     BLOCK = 4096,  /* inputs that stay in the first-level cache while rows go past */
-    TOP = 32766,
-    GROUP = 16
+    TOP = 32766
 };
 
-/* products[i] = sum over j of rows[i][j] * input[j]; sums of a block in float, of blocks in double */
+/* projection: products of short rows with an input; sums of a block in float, of blocks in double */
 EVERY_X86_64
 void project(const int16_t *rows, size_t n_rows, size_t n, const float *input, double *products)
 {
@@ -49,66 +52,157 @@ void project(const int16_t *rows, size_t n_rows, size_t n, const float *input, d
     }
 }
 
-/* The unit of a row that takes its largest value to TOP; 0 where there is nothing to hold. */
-static double unit_of(const float *values, size_t n)
+/* projection: row[j] = values[j] / unit, rounded; returns the unit, that takes the largest to TOP */
+EVERY_X86_64
+double shorten(const float *values, size_t n, int16_t *row)
 {
-    uint32_t largest_bits = 0;  /* of numbers without their signs, in the order of the numbers */
+    uint32_t bits = 0;  /* of numbers without their signs, in the order of the numbers */
     for (size_t j = 0; j < n; j++) {
-        uint32_t bits;
-        memcpy(&bits, values + j, sizeof bits);
-        bits &= 0x7fffffff;
-        largest_bits = bits > largest_bits ? bits : largest_bits;
+        uint32_t of_value;
+        memcpy(&of_value, values + j, sizeof of_value);
+        of_value &= 0x7fffffff;
+        bits = of_value > bits ? of_value : bits;
     }
     float largest;
-    memcpy(&largest, &largest_bits, sizeof largest);
-    return largest > 0 && largest < 1e30f ? largest / TOP : 0;
-}
-
-static int nearest(float level)
-{
-    return (int)(level + (TOP + 1.5f)) - (TOP + 1);
-}
-
-static void quantise_row(const float *values, size_t n, int16_t *row, double *unit)
-{
-    *unit = unit_of(values, n);
-    const float factor = *unit > 0 ? (float)(1 / *unit) : 0;
+    memcpy(&largest, &bits, sizeof largest);
+    const float factor = largest > 0 ? TOP / largest : 0;
     for (size_t j = 0; j < n; j++)
-        row[j] = (int16_t)nearest(values[j] * factor);
+        row[j] = (int16_t)((int)(values[j] * factor + (TOP + 1.5f)) - (TOP + 1));
+    return largest / TOP;
 }
 
-/*
- * The same for GROUP rows at once, and what rounding takes from one pixel is given to the next:
- * in the product with an image, whose neighbouring pixels are much alike, errors all but cancel.
- */
-static void quantise_group(const float *values, size_t n, int16_t *rows, double *units)
-{
-    float factor[GROUP], rest[GROUP] = {0};
-    for (size_t i = 0; i < GROUP; i++) {
-        units[i] = unit_of(values + i * n, n);
-        factor[i] = units[i] > 0 ? (float)(1 / units[i]) : 0;
-    }
-    for (size_t j = 0; j < n; j++)
-        for (size_t i = 0; i < GROUP; i++) {  /* several rows, for each waits for its last pixel */
-            const float level = values[i * n + j] * factor[i] + rest[i];
-            const int rounded = nearest(level);
-            rows[i * n + j] = (int16_t)rounded;
-            rest[i] = level - (float)rounded;
-        }
-}
-
-/* rows[i][j] = values[i][j] / units[i], rounded */
+/* preprocessing: zero mean, the given deviation; sums of a view are exact in integers */
 EVERY_X86_64
-void quantise(const float *values, size_t n_rows, size_t n, int16_t *rows, double *units)
+void standardise(const uint8_t *view, size_t n, double deviation, double min_contrast, float *input)
 {
-    for (size_t done = 0; done < n_rows;) {
-        if (n_rows < GROUP) {
-            quantise_row(values + done * n, n, rows + done * n, units + done);
-            done++;
-            continue;
+    uint64_t sum = 0, squares = 0;
+    for (size_t start = 0; start < n; start += BLOCK) {
+        const size_t stop = n - start < BLOCK ? n : start + BLOCK;
+        uint32_t block_sum = 0, block_squares = 0;
+        for (size_t j = start; j < stop; j++) {
+            const uint32_t pixel = view[j];
+            block_sum += pixel;
+            block_squares += pixel * pixel;
         }
-        const size_t i = done < n_rows - GROUP ? done : n_rows - GROUP;
-        quantise_group(values + i * n, n, rows + i * n, units + i);
-        done = i + GROUP;
+        sum += block_sum;
+        squares += block_squares;
     }
+    const double mean = (double)sum / n;
+    const double contrast = sqrt(fmax((double)squares / n - mean * mean, 0));
+    const float factor = (float)(deviation / fmax(contrast, min_contrast)), middle = (float)mean;
+    for (size_t j = 0; j < n; j++)
+        input[j] = ((float)view[j] - middle) * factor;
+}
+
+/* sparse_coding: y = a x for a symmetric matrix of m rows */
+static inline void multiply(const double *a, size_t m, const double *x, double *y)
+{
+    for (size_t j = 0; j < m; j++)
+        y[j] = 0;
+    for (size_t i = 0; i < m; i++)
+        for (size_t j = 0; j < m; j++)
+            y[j] += a[i * m + j] * x[i];
+}
+
+/* sparse_coding: n_steps of the local coding iterations on one code, in place */
+EVERY_X86_64
+void proximal_steps(double *code, const double *b, const double *gram, size_t m, double eta_c,
+                    double threshold, size_t n_steps, double *work)
+{
+    for (size_t step = 0; step < n_steps; step++) {
+        multiply(gram, m, code, work);
+        for (size_t j = 0; j < m; j++) {
+            const double x = code[j] - eta_c * (work[j] - b[j]);
+            code[j] = x > threshold ? x - threshold : x < -threshold ? x + threshold : 0;
+        }
+    }
+}
+
+/* In place, the solution of the k linear equations a x = b, a symmetric and positive definite. */
+static int solve(double *a, size_t k, double *x)
+{
+    for (size_t i = 0; i < k; i++) {  /* a = l l^T, l in the lower half */
+        for (size_t j = 0; j <= i; j++) {
+            double sum = a[i * k + j];
+            for (size_t p = 0; p < j; p++)
+                sum -= a[i * k + p] * a[j * k + p];
+            if (i == j && !(sum > 0))
+                return 0;
+            a[i * k + j] = i == j ? sqrt(sum) : sum / a[j * k + j];
+        }
+    }
+    for (size_t i = 0; i < k; i++) {
+        for (size_t p = 0; p < i; p++)
+            x[i] -= a[i * k + p] * x[p];
+        x[i] /= a[i * k + i];
+    }
+    for (size_t i = k; i-- > 0;) {
+        for (size_t p = i + 1; p < k; p++)
+            x[i] -= a[p * k + i] * x[p];
+        x[i] /= a[i * k + i];
+    }
+    return 1;
+}
+
+static inline double sign_above(double x, double threshold)
+{
+    return x > threshold ? 1 : x < -threshold ? -1 : 0;
+}
+
+/* sparse_coding: the exact code by active sets; returns whether it was found */
+EVERY_X86_64
+int active_set(const double *inverse, const double *b, size_t m, double lambda_1, double weight,
+               size_t max_sets, double *code, double *work)
+{
+    double *signs = work, *right = work + m, *q = work + 2 * m, *equations = work + 3 * m;
+    multiply(inverse, m, b, code);
+    for (size_t j = 0; j < m; j++)
+        signs[j] = sign_above(code[j], 0);
+    for (size_t set = 0; set < max_sets; set++) {
+        size_t n_zero = 0;
+        for (size_t j = 0; j < m; j++)
+            right[j] = b[j] - lambda_1 * signs[j];
+        multiply(inverse, m, right, code);
+        for (size_t j = 0; j < m; j++)
+            if (signs[j] == 0)
+                q[n_zero++] = code[j];
+        for (size_t i = 0, row = 0; i < m; i++)
+            if (signs[i] == 0) {
+                for (size_t j = 0, column = 0; j < m; j++)
+                    if (signs[j] == 0)
+                        equations[row * n_zero + column++] = inverse[i * m + j];
+                row++;
+            }
+        if (!solve(equations, n_zero, q))
+            return 0;
+        for (size_t i = 0, row = 0; i < m; i++)
+            if (signs[i] == 0) {
+                for (size_t j = 0; j < m; j++)
+                    code[j] -= inverse[i * m + j] * q[row];
+                row++;
+            }
+        int is_confirmed = 1;
+        for (size_t j = 0, row = 0; j < m; j++) {
+            const int is_zero = signs[j] == 0;
+            const double multiplier = is_zero ? q[row++] : lambda_1 * signs[j];
+            code[j] = is_zero ? 0 : code[j];
+            const double found = sign_above(multiplier + weight * code[j], lambda_1);
+            is_confirmed &= found == signs[j];
+            signs[j] = found;
+        }
+        if (is_confirmed)
+            return 1;
+    }
+    return 0;
+}
+
+/* snapshot: matrix -= x^T y for x of n rows of m and y of n rows of k */
+EVERY_X86_64
+void subtract_product(double *matrix, size_t stride, size_t n, size_t m, size_t k, const double *x,
+                      const double *y)
+{
+    for (size_t p = 0; p < n; p++)
+        for (size_t i = 0; i < m; i++)
+            for (size_t j = 0; j < k; j++)
+                matrix[i * stride + j] -= x[p * m + i] * y[p * k + j];
 }

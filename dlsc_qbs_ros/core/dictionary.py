@@ -6,7 +6,7 @@ import numpy as np
 
 from .preprocessing import input_scale, N_PAPER
 from .projection import gram_of, make_projection
-from .snapshot import NextSnapshot, Relation
+from .snapshot import NextSnapshot, Relation, subtract_product
 from .sparse_coding import proximal_steps, squared_errors
 from ..config import EncoderConfig
 
@@ -49,7 +49,8 @@ class DictionaryLearner:
 
     def __init__(self, n_inputs: int, config: EncoderConfig):
         self._config = config
-        self._room = config.n_atoms * min(max(N_PAPER // n_inputs, 1), 8)
+        self._room = max(
+            config.n_atoms * min(max(N_PAPER // n_inputs, 1), 8), 2 * FRAMES_AHEAD)
         deviation = config.sigma_w * input_scale(n_inputs)
         self.restart(np.random.default_rng(config.seed).normal(
             0.0, deviation, (config.n_atoms, n_inputs)).astype(np.float32))
@@ -104,6 +105,7 @@ class DictionaryLearner:
         self._next: NextSnapshot | None = None
         self.gram_ = scale * scale * self.snapshot_gram_
         self.codes_ = np.zeros((1, self._config.n_atoms))
+        self._drift = self._measure_drift()
 
     def infer(self, inputs: np.ndarray) -> float:
         """
@@ -112,16 +114,24 @@ class DictionaryLearner:
         Parameters
         ----------
         inputs : ndarray of shape (n, n_inputs), float32
-            The input vectors s_k of one frame; at most as many as are kept, `n_atoms` or more.
+            The input vectors s_k of one frame.
+
+        Raises
+        ------
+        ValueError
+            When there are more of them than inputs can be kept, eight times `n_atoms` or, of
+            long inputs, `n_atoms`.
 
         """
+        if len(inputs) > self._room:
+            raise ValueError(f'{len(inputs)} inputs in a frame: expected at most {self._room}')
         if len(self.codes_) != len(inputs):
             self.codes_ = np.zeros((len(inputs), self._config.n_atoms))
         self._tend_snapshot()
         self._products = self._rows.products(inputs, self._n_kept)
         self.snapshot_products_ = self._products[:, :self._config.n_atoms]
         self._b = self._products @ self._live.mix[:, :self._n_rows].T
-        self._among = (inputs @ inputs.T).astype(np.float64)
+        self._among = gram_of(inputs)
         self.codes_ = proximal_steps(
             self.codes_, self._b, self.gram_,
             self._config.eta_c, self._config.lambda_1, self._config.n_coding)
@@ -147,35 +157,40 @@ class DictionaryLearner:
             residuals = g @ codes.T - input_residuals.T
             for relation, products in relations:
                 relation.learn(codes, products, self._n_kept, rate)
-            cross = codes.T @ g
-            self.gram_ += (rate * rate * codes.T @ residuals @ codes) - rate * (cross + cross.T)
+            half = rate * g - (0.5 * rate * rate) * (residuals @ codes)
+            subtract_product(self.gram_, codes, half)
+            subtract_product(self.gram_, half, codes)
             self._b -= rate * input_residuals @ codes
         self._n_kept += len(inputs)
+        self._drift = self._measure_drift()
 
     @property
     def _n_rows(self) -> int:
         return self._config.n_atoms + self._n_kept
 
-    @property
-    def _drift(self) -> float:
-        """How far the live atoms are from the snapshot's, relative to these (Frobenius norm)."""
+    def _measure_drift(self) -> float:
+        """Return how far the live atoms are from the snapshot's, relative to these (Frobenius norm)."""
         held = np.trace(self.snapshot_gram_)
         squared = np.trace(self.gram_) - 2.0 * np.trace(self._live.cross) + held
         return np.sqrt(max(squared, 0.0) / held)
 
     def _tend_snapshot(self) -> None:
-        """Begin a snapshot when it is due, and do a frame's work on one that was begun."""
+        """Work on a snapshot where one is begun or due, and see that there is room for inputs."""
         n_frame = len(self.codes_)
         if self._next is None:
             self._touch_spare()
-            if (self._drift <= self._config.epoch_change
-                    and self._n_kept + FRAMES_AHEAD * n_frame <= self._room):
-                return
+        if (self._next is not None or self._drift > self._config.epoch_change
+                or self._n_kept + FRAMES_AHEAD * n_frame > self._room):
+            self._make_snapshot()
+        while self._n_kept + n_frame > self._room:
+            self._make_snapshot()
+
+    def _make_snapshot(self) -> None:
+        """Begin a snapshot or go on with it for one frame; adopt it once it is whole."""
+        if self._next is None:
             self._next = NextSnapshot(
                 self._spare, self._rows, self._live.mix[:, :self._n_rows], self.gram_, self._room)
         self._next.make_columns()
-        while self._n_kept + n_frame > self._room and not self._next.is_whole:
-            self._next.make_columns()
         if self._next.is_whole:
             self._adopt(self._next)
 
@@ -187,6 +202,7 @@ class DictionaryLearner:
         self._n_kept -= snapshot.n_kept
         self.snapshot_, self.snapshot_gram_ = snapshot.atoms, snapshot.gram
         self._live, self._next = snapshot.live, None
+        self._drift = self._measure_drift()
         self._spare, self._n_touched = np.empty_like(self.snapshot_), 0
 
     def _touch_spare(self) -> None:

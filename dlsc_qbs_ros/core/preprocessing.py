@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from . import kernel
 from ..config import ViewConfig
 from ..errors import ImageError
 
@@ -73,7 +74,8 @@ def _area_weights(n_in: int, n_out: int) -> np.ndarray:
     return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-def view_to_inputs(views: np.ndarray, standardise: bool) -> np.ndarray:
+def view_to_inputs(views: np.ndarray, standardise: bool, out: np.ndarray | None = None
+                   ) -> np.ndarray:
     """
     Return the input vectors s_k of a batch of views.
 
@@ -84,18 +86,24 @@ def view_to_inputs(views: np.ndarray, standardise: bool) -> np.ndarray:
     standardise : bool
         True: zero mean and deviation `DEVIATION`, which undoes changes of lighting.
         False: pixels in [0, 1], as in the paper.
+    out : ndarray of shape (n_views, height * width), float32, optional
+        Where to write them.
 
     Returns
     -------
     ndarray of shape (n_views, height * width), float32
 
     """
-    inputs = views.reshape(len(views), -1).astype(np.float32)
-    if standardise:
-        inputs -= inputs.mean(axis=1, keepdims=True)
-        deviation = np.sqrt(np.einsum('nk,nk->n', inputs, inputs) / inputs.shape[1])
-        scale = DEVIATION / np.maximum(deviation, MIN_CONTRAST)
-    else:
-        scale = np.full(len(views), 1.0 / 255.0)
-    inputs *= (scale * input_scale(inputs.shape[1])).astype(np.float32)[:, None]
+    views = views.reshape(len(views), -1)
+    scale = input_scale(views.shape[1])
+    inputs = np.empty(views.shape, np.float32) if out is None else out
+    if not standardise:
+        return np.multiply(views, np.float32(scale / 255.0), out=inputs)
+    if kernel.LIBRARY is not None:
+        kernel.standardise(views, scale * DEVIATION, MIN_CONTRAST, inputs)
+        return inputs
+    for view, row in zip(views, inputs):
+        np.subtract(view, np.float32(view.sum(dtype=np.uint64) / len(view)), out=row)
+        contrast = np.sqrt(np.dot(row, row) / len(row))
+        row *= np.float32(scale * DEVIATION / max(contrast, MIN_CONTRAST))
     return inputs

@@ -6,11 +6,13 @@ import numpy as np
 
 from . import kernel
 
-# From this many inputs on, 16-bit rows are as exact as 32-bit ones: what rounding adds to a
-# product falls with sqrt(n_inputs), and lies below that of a sum in 32 bits.
+# From this many inputs on, kept ones are worth shortening to 16 bits: what rounding adds to a
+# product of two views lies below that of a sum in 32 bits.
 LONG = 16384
 # Columns that are combined at a time: those of all rows stay in the second-level cache.
 COLUMNS = 1024
+# Terms of a sum in 32 bits; such sums are added in 64.
+TERMS = 8192
 
 
 class Projection:
@@ -31,12 +33,12 @@ class Projection:
     def replace(self, atoms: np.ndarray, kept: slice) -> None:
         """Go on with other atoms and the inputs in these slots, moved to the first ones."""
         self.atoms = atoms
-        self._kept[:kept.stop - kept.start] = self._kept[kept].copy()
+        _to_front(self._kept, kept)
 
     def products(self, inputs: np.ndarray, n_kept: int) -> np.ndarray:
         """Multiply inputs (n, n_inputs) and rows; return (n, n_atoms + n_kept), float64."""
-        parts = (inputs @ self.atoms.T, inputs @ self._kept[:n_kept].T)
-        return np.concatenate(parts, axis=1).astype(np.float64)
+        return np.concatenate(
+            [inputs @ self.atoms.T, self._kept_products(inputs, n_kept)], axis=1, dtype=float)
 
     def combine(self, weights: np.ndarray, out: np.ndarray, start: int = 0,
                 stop: int | None = None) -> None:
@@ -49,51 +51,46 @@ class Projection:
             block += of_inputs @ self._kept_inputs(of_inputs.shape[1], columns)
             out[:, columns] = block
 
+    def _kept_products(self, inputs: np.ndarray, n_kept: int) -> np.ndarray:
+        return inputs @ self._kept[:n_kept].T
+
     def _kept_inputs(self, n_kept: int, columns: slice) -> np.ndarray:
         return self._kept[:n_kept, columns]
 
 
 class ShortProjection(Projection):
-    """
-    The same with rows of 16-bit numbers, each row in a unit of its own, for the compiled kernel.
-
-    Products read these; new atoms are made of the exact ones, so nothing adds up over time.
-    """
+    """The same with kept inputs of 16 bits, each in a unit of its own, for the kernel."""
 
     def __init__(self, atoms: np.ndarray, room: int):
-        self._rows = np.empty((len(atoms) + room, atoms.shape[1]), np.int16)
-        self._units = np.zeros(len(self._rows))
-        self.replace(atoms, slice(0, 0))
+        self.atoms = atoms
+        self._kept = np.empty((room, atoms.shape[1]), np.int16)
+        self._units = np.zeros(room)
 
     def keep(self, start: int, inputs: np.ndarray) -> None:
-        self._write(len(self.atoms) + start, inputs)
+        for slot, row in enumerate(inputs, start):
+            self._units[slot] = kernel.shorten(row, self._kept[slot])
 
     def replace(self, atoms: np.ndarray, kept: slice) -> None:
-        self.atoms = atoms
-        n_atoms, n_kept = len(atoms), kept.stop - kept.start
-        self._write(0, atoms)
-        for array in (self._rows, self._units):
-            array[n_atoms:n_atoms + n_kept] = array[n_atoms:][kept].copy()
+        super().replace(atoms, kept)
+        _to_front(self._units, kept)
 
-    def products(self, inputs: np.ndarray, n_kept: int) -> np.ndarray:
-        n_rows = len(self.atoms) + n_kept
-        return self._units[:n_rows] * np.array([
-            kernel.project(self._rows, n_rows, row) for row in inputs])
+    def _kept_products(self, inputs: np.ndarray, n_kept: int) -> np.ndarray:
+        return self._units[:n_kept] * np.array([
+            kernel.project(self._kept, n_kept, row) for row in inputs])
 
     def _kept_inputs(self, n_kept: int, columns: slice) -> np.ndarray:
-        kept = slice(len(self.atoms), len(self.atoms) + n_kept)
-        return self._rows[kept, columns] * self._units[kept, None].astype(np.float32)
-
-    def _write(self, start: int, values: np.ndarray) -> None:
-        written = slice(start, start + len(values))
-        kernel.quantise(values, self._rows[written], self._units[written])
+        return self._kept[:n_kept, columns] * self._units[:n_kept, None].astype(np.float32)
 
 
-def gram_of(atoms: np.ndarray) -> np.ndarray:
-    """Return atoms @ atoms.T in float64, of float32 atoms (n_atoms, n_inputs)."""
-    gram = np.zeros((len(atoms), len(atoms)))
-    for start in range(0, atoms.shape[1], COLUMNS):
-        block = atoms[:, start:start + COLUMNS]
+def _to_front(array: np.ndarray, kept: slice) -> None:
+    array[:kept.stop - kept.start] = array[kept].copy()
+
+
+def gram_of(rows: np.ndarray) -> np.ndarray:
+    """Return rows @ rows.T (n, n), float64, of rows (n, n_inputs), float32."""
+    gram = np.zeros((len(rows), len(rows)))
+    for start in range(0, rows.shape[1], TERMS):
+        block = rows[:, start:start + TERMS]
         gram += block @ block.T
     return gram
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from . import kernel
 from .preprocessing import N_PAPER
 from .projection import Projection
 
@@ -49,8 +50,8 @@ class Relation:
         first = n_atoms + slot
         residuals = codes @ self.mix[:, :first + n]
         residuals[:, first:] -= np.eye(n)
-        self.mix[:, :first + n] -= (rate * codes.T) @ residuals
-        self.cross -= (rate * codes.T) @ (codes @ self.cross - products)
+        subtract_product(self.mix[:, :first + n], rate * codes, residuals)
+        subtract_product(self.cross, rate * codes, codes @ self.cross - products)
 
     def move_kept(self, kept: slice) -> None:
         """Follow the inputs in these slots, the only ones in use, to the first ones."""
@@ -58,6 +59,14 @@ class Relation:
         weights = self.mix[:, n_atoms:][:, kept].copy()
         self.mix[:, n_atoms:] = 0.0
         self.mix[:, n_atoms:n_atoms + weights.shape[1]] = weights
+
+
+def subtract_product(matrix: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
+    """Take x.T @ y from a matrix (m, k), float64; x (n, m) and y (n, k) have few rows."""
+    if kernel.LIBRARY is None:
+        matrix -= x.T @ y
+    else:
+        kernel.subtract_product(matrix, x, y)
 
 
 class NextSnapshot:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from . import kernel
+
 TOLERANCE = 1e-6
 MAX_STEPS = 2000
 MAX_SETS = 10
@@ -44,6 +46,8 @@ def proximal_steps(codes: np.ndarray, b: np.ndarray, gram: np.ndarray, eta_c: fl
     ndarray of shape (n, M), float64
 
     """
+    if kernel.LIBRARY is not None:
+        return kernel.proximal_steps(codes, b, gram, eta_c, eta_c * lambda_1, n_steps)
     for _ in range(n_steps):
         codes = soft_threshold(codes - eta_c * (codes @ gram - b), eta_c * lambda_1)
     return codes
@@ -102,6 +106,8 @@ class Lasso:
         for the few multipliers of those that are, by the inverse of G.
         """
         inverse, lambda_1 = self._inverse, self._lambda_1
+        if kernel.LIBRARY is not None:
+            return kernel.active_set(inverse, b, lambda_1, self._weight, MAX_SETS)
         signs = np.sign(inverse @ b)
         for _ in range(MAX_SETS):
             multiplier = lambda_1 * signs

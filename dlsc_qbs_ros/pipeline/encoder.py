@@ -46,7 +46,10 @@ class Encoder:
 
     def __init__(self, config: Config):
         self._config = config
-        self._learner = DictionaryLearner(config.view.width * config.view.height, config.encoder)
+        n_inputs = config.view.width * config.view.height
+        # Memory for s_k: mapping it anew for each frame would take longer than filling it.
+        self._inputs = np.empty((1, n_inputs), np.float32)
+        self._learner = DictionaryLearner(n_inputs, config.encoder)
         self._gate = SurpriseGate(config.encoder.gate_window)
         self._order = StampOrder()
         self._coder: Coder | None = None
@@ -87,7 +90,7 @@ class Encoder:
         if self._order.take(frame.stamp_ns) is Succession.LATE:
             raise StampError(f'stamp {frame.stamp_ns} ns: expected one after '
                              f'{self._order.newest_ns} ns')
-        inputs = view_to_inputs(view[None], self._config.view.standardise)
+        inputs = view_to_inputs(view[None], self._config.view.standardise, out=self._inputs)
         error = self._learner.infer(inputs)
         dictionary = self._new_dictionary(frame.stamp_ns)
         values, dictionary_ns = self._published_code()
