@@ -35,6 +35,9 @@ class Mapper:
     when the packet has arrived there, the experience is linked to the old one.
     """
 
+    # A view without a code, of darkness say, is waited out for so many distances of a keyframe.
+    PATIENCE = 2.0
+
     def __init__(self, config: Config):
         self._config = config.ratslam
         self._pose_cell_config = config.pose_cells
@@ -76,7 +79,7 @@ class Mapper:
             self.view_cells = ViewCells(len(code))
         motion = self._advance(odometry)
         n_cells = len(self.view_cells)
-        is_keyframe = self._is_keyframe(odometry)
+        is_keyframe = self._is_keyframe(odometry, 1.0 if code.any() else self.PATIENCE)
         if is_keyframe:
             self._keyframe = odometry
             self._view_event(code)
@@ -123,15 +126,15 @@ class Mapper:
             self.place = Place(self.place.experience, compose(self.place.offset, motion))
         return motion
 
-    def _is_keyframe(self, odometry: OdometrySample) -> bool:
+    def _is_keyframe(self, odometry: OdometrySample, patience: float) -> bool:
         if self._keyframe is None or self._keyframe.segment != odometry.segment:
             self._sequence.clear()
             return True
         motion = between(self._keyframe.pose, odometry.pose)
         climb = odometry.z_m - self._keyframe.z_m
         return (sqrt(motion.x_m ** 2 + motion.y_m ** 2 + climb ** 2)
-                >= self._config.keyframe_distance_m
-                or abs(motion.yaw_rad) >= self._config.keyframe_angle_rad)
+                >= patience * self._config.keyframe_distance_m
+                or abs(motion.yaw_rad) >= patience * self._config.keyframe_angle_rad)
 
     def _view_event(self, code: np.ndarray) -> None:
         """Match the code to an old view cell and inject, or make a new one."""

@@ -56,6 +56,7 @@ class RatSlam:
         self._due_ns: int | None = None
         self._codes_flow = False
         self._map_T_odom = IDENTITY
+        self._last_view: np.ndarray | None = None
         # The newest odometry that has been used, by a code or for a pose, and the drift there.
         self._last: OdometrySample | None = None
         self._drift = Drift(config.odometry)
@@ -172,8 +173,11 @@ class RatSlam:
         view = self._views[code.stamp_ns]
         if code.dictionary_ns is not None and self.counts['codes_used'] % self.CHECK_EVERY == 0:
             self._check(code, view)
-        if self.mapper.update(odometry, code.values):
-            self._book.add_view(view)
+        # No camera that moves sees the same twice, to the last pixel: one that does hangs.
+        is_new = not np.array_equal(view, self._last_view)
+        self._last_view = view
+        if self.mapper.update(odometry, code.values * is_new):
+            self._book.add_view(view * is_new)
         self.counts['codes_used'] += 1
         self._history.forget_before(code.stamp_ns)
         self._due_ns = self._next_due_ns(code.stamp_ns)
