@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from contextlib import contextmanager
 import json
 from pathlib import Path
 import sys
 from typing import Any, Iterable, Iterator, Mapping, Sequence
 
 from tqdm import tqdm
-import yaml
 
-from ..config import Config, load_profile, parse_assignment
+from .common import given_values, write_config, writing
+from ..config import Config
 from ..core.types import Frame, GroundTruthSample
 from ..errors import ConfigError, DlscQbsError, RecordingError
 from ..evaluation.metrics import evaluate_run
@@ -63,7 +62,9 @@ def _evaluate(args: argparse.Namespace) -> None:
     values = _given_values(args)
     config = Config().override(values)
     _tell_overruled(values, encoders)
-    _prepare(args.out, config, encoders)
+    write_config(args.out, config, [
+        f'rows of {encoder}: {key} = {value!r}'
+        for encoder in encoders for key, value in ENCODERS[encoder].items()])
     rows: list[Row] = []
     for name, path in flights.items():
         for encoder in encoders:
@@ -75,7 +76,7 @@ def _evaluate(args: argparse.Namespace) -> None:
                 raise type(error)(f'{path}: {error}') from error
             rows.append(row)
             document = {'rows': [row.as_json() for row in rows]}
-            with _writing(args.out):
+            with writing(args.out):
                 (args.out / 'metrics.json').write_text(json.dumps(document, indent=2) + '\n')
                 plot_run(args.out / f'{name}_{encoder}.png', row, result)
     print(format_table(rows))
@@ -108,8 +109,7 @@ def _named(paths: Sequence[Path]) -> dict[str, Path]:
 
 def _given_values(args: argparse.Namespace) -> dict[str, Any]:
     """Return the parameters of --config, overridden by --set, then by --threshold."""
-    values: dict[str, Any] = load_profile(args.config) if args.config else {}
-    values.update(map(parse_assignment, args.set))
+    values = given_values(args.config, args.set)
     if args.threshold not in (None, 'tune'):
         try:
             values[THRESHOLD] = float(args.threshold)
@@ -126,30 +126,6 @@ def _tell_overruled(values: Mapping[str, Any], encoders: Iterable[str]) -> None:
             if values.get(key, value) != value:
                 print(f'evaluate: {key} = {values[key]!r} has no effect on the row {encoder}, '
                       f'which sets {value!r}', file=sys.stderr)
-
-
-@contextmanager
-def _writing(out: Path) -> Iterator[None]:
-    """Turn the failure of any write into --out into an expected error."""
-    try:
-        yield
-    except OSError as error:
-        raise DlscQbsError(f'--out {out}: cannot be written: {error}') from error
-
-
-def _prepare(out: Path, config: Config, encoders: Iterable[str]) -> None:
-    """Make the folder and write the effective configuration, before any long work, into it."""
-    tree: dict[str, dict[str, Any]] = {}
-    for key, value in config.flat().items():
-        section, _, name = key.partition('.')
-        if value != ():  # ROS parameter files know no empty list
-            tree.setdefault(section, {})[name] = value
-    notes = [f'# rows of {encoder}: {key} = {value!r}\n'
-             for encoder in encoders for key, value in ENCODERS[encoder].items()]
-    document = yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
-    with _writing(out):
-        out.mkdir(parents=True, exist_ok=True)
-        (out / 'config.yaml').write_text(''.join(notes) + document)
 
 
 def _run(args, name: str, path: Path, encoder: str, config: Config) -> tuple[Row, RunResult]:

@@ -1,0 +1,41 @@
+"""What tools with parameters share: reading --config and --set, writing into --out."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Iterable, Iterator
+
+import yaml
+
+from ..config import Config, load_profile, parse_assignment
+from ..errors import DlscQbsError
+
+
+def given_values(profile: Path | None, assignments: Iterable[str]) -> dict[str, Any]:
+    """Return the parameters of --config, overridden by those of --set."""
+    values: dict[str, Any] = load_profile(profile) if profile else {}
+    values.update(map(parse_assignment, assignments))
+    return values
+
+
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """Turn the failure of any write into --out into an expected error."""
+    try:
+        yield
+    except OSError as error:
+        raise DlscQbsError(f'--out {out}: cannot be written: {error}') from error
+
+
+def write_config(out: Path, config: Config, notes: Iterable[str]) -> None:
+    """Make the folder and write the effective configuration, before any long work, into it."""
+    tree: dict[str, dict[str, Any]] = {}
+    for key, value in config.flat().items():
+        section, _, name = key.partition('.')
+        if value != ():  # ROS parameter files know no empty list
+            tree.setdefault(section, {})[name] = value
+    document = yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        (out / 'config.yaml').write_text(''.join(f'# {note}\n' for note in notes) + document)
