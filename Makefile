@@ -8,6 +8,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 RUN := scripts/in_environment
 BIN := $(RUN) install/dlsc_qbs_ros/lib/dlsc_qbs_ros
 NUMPY126 := scripts/in_environment --numpy126
+BENCH := scripts/in_environment --bench
 PYTEST := python3 -m pytest -n 2 --dist loadfile
 
 .PHONY: demo test build bench table clean lock
@@ -27,7 +28,7 @@ build:
 		{ cat log/latest_build/dlsc_qbs_ros/stdout_stderr.log; exit 1; }
 
 bench: build
-	set -e; for file in $(sort $(wildcard benchmarks/bench_*.py)); do $(RUN) python3 $$file; done
+	set -e; for file in $(sort $(wildcard benchmarks/bench_*.py)); do $(BENCH) python3 $$file; done
 
 # The table of the README: three kinds of flight, three seeds of each, one configuration for all.
 TABLE := table_output
@@ -41,7 +42,7 @@ table: build
 	$(BIN)/evaluate $(TABLE)/flight* --encoder dlsc_qbs,dlsc_qbs_paper --out $(TABLE)/rows
 
 clean:
-	rm -rf build install log .venv .venv-numpy126 .pytest_cache demo_output bench_output $(TABLE)
+	rm -rf build install log .venv .venv-numpy126 .venv-bench .pytest_cache demo_output bench_output $(TABLE)
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 lock:
@@ -51,3 +52,6 @@ lock:
 	$(PYTHON) scripts/lock.py requirements-numpy126.txt python3.10 python3.11 python3.12 \
 		> requirements-numpy126.lock.new
 	mv requirements-numpy126.lock.new requirements-numpy126.lock
+	$(PYTHON) scripts/lock.py requirements-bench.txt python3.10 python3.11 python3.12 python3.13 \
+		> requirements-bench.lock.new
+	mv requirements-bench.lock.new requirements-bench.lock
