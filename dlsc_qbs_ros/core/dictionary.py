@@ -169,7 +169,7 @@ class DictionaryLearner:
         return self._config.n_atoms + self._n_kept
 
     def _measure_drift(self) -> float:
-        """Return how far the live atoms are from the snapshot's, relative to these (Frobenius norm)."""
+        """Return how far the live atoms are from the snapshot's, in Frobenius norms of these."""
         held = np.trace(self.snapshot_gram_)
         squared = np.trace(self.gram_) - 2.0 * np.trace(self._live.cross) + held
         return np.sqrt(max(squared, 0.0) / held)
@@ -206,7 +206,7 @@ class DictionaryLearner:
         self._spare, self._n_touched = np.empty_like(self.snapshot_), 0
 
     def _touch_spare(self) -> None:
-        """Use some more of the memory for the next snapshot, or its first frame would map it all."""
+        """Use some more of the next snapshot's memory: its first frame would have it all mapped."""
         end = self._n_touched + TOUCHED_PER_FRAME
         self._spare.reshape(-1)[self._n_touched:end] = 0.0
         self._n_touched = end
