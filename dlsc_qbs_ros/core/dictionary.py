@@ -76,9 +76,13 @@ class DictionaryLearner:
     @property
     def is_stable(self) -> bool:
         """Whether eta_c < 2 / lambda_max(G): learning has not run away."""
-        # The Frobenius norm bounds lambda_max from above, at a fraction of its cost.
-        return bool(np.linalg.norm(self.gram_) < self.lambda_max_limit
-                    or self.lambda_max < self.lambda_max_limit)
+        limit = self.lambda_max_limit
+        power = self.gram_
+        for exponent in (1, 2, 4):  # ||G^p||^(1/p) bounds lambda_max from above, ever closer
+            if np.linalg.norm(power) < limit ** exponent:
+                return True
+            power = power @ power
+        return self.lambda_max < limit
 
     def restart(self, atoms: np.ndarray) -> None:
         """Go on from these atoms (n_atoms, n_inputs) and zero codes."""

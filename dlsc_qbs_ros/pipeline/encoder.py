@@ -95,11 +95,11 @@ class Encoder:
         dictionary = self._new_dictionary(frame.stamp_ns)
         values, dictionary_ns = self._published_code()
         learned = self._gate.is_open or not self._config.encoder.gate
-        if learned:
-            with np.errstate(over='ignore', invalid='ignore'):  # noticed below
+        with np.errstate(over='ignore', invalid='ignore'):  # of a learner that runs away
+            if learned:
                 self._learner.learn(inputs)
+            ran_away = self._config.encoder.protection and not self._learner.is_stable
         self._gate.observe(error)
-        ran_away = self._config.encoder.protection and not self._learner.is_stable
         if ran_away:
             self._learner.fall_back()
             self._gate = SurpriseGate(self._config.encoder.gate_window)
