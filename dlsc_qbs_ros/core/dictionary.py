@@ -7,7 +7,7 @@ import numpy as np
 from .preprocessing import input_scale, N_PAPER
 from .projection import gram_of, make_projection
 from .snapshot import NextSnapshot, Relation, subtract_product
-from .sparse_coding import proximal_steps, squared_errors
+from .sparse_coding import proximal_steps
 from ..config import EncoderConfig
 
 # A snapshot is begun while there is room left for the inputs of so many frames.
@@ -139,8 +139,10 @@ class DictionaryLearner:
         self.codes_ = proximal_steps(
             self.codes_, self._b, self.gram_,
             self._config.eta_c, self._config.lambda_1, self._config.n_coding)
-        return float(np.mean(squared_errors(
-            self.codes_, self._b, self.gram_, np.diagonal(self._among))))
+        self._gradient = self.codes_ @ self.gram_ - self._b
+        # ||r||^2 = c (g - b) + ||s||^2, with the gradient g = r phi^T = c G - b.
+        squared = np.vdot(self.codes_, self._gradient - self._b) + np.trace(self._among)
+        return float(squared) / len(inputs)
 
     def learn(self, inputs: np.ndarray) -> None:
         """
@@ -156,15 +158,15 @@ class DictionaryLearner:
             relations.append((self._next.live, self._next.products(self._products)))
         self._rows.keep(self._n_kept, inputs)
         for _ in range(self._config.n_learning):
-            g = codes @ self.gram_ - self._b
             input_residuals = self._b @ codes.T - self._among
-            residuals = g @ codes.T - input_residuals.T
+            residuals = self._gradient @ codes.T - input_residuals.T
             for relation, products in relations:
                 relation.learn(codes, products, self._n_kept, rate)
-            half = rate * g - (0.5 * rate * rate) * (residuals @ codes)
+            half = rate * self._gradient - (0.5 * rate * rate) * (residuals @ codes)
             subtract_product(self.gram_, codes, half)
             subtract_product(self.gram_, half, codes)
             self._b -= rate * input_residuals @ codes
+            self._gradient = codes @ self.gram_ - self._b
         self._n_kept += len(inputs)
         self._drift = self._measure_drift()
 

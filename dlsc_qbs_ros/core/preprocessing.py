@@ -103,7 +103,7 @@ def view_to_inputs(views: np.ndarray, standardise: bool, out: np.ndarray | None 
         kernel.standardise(views, scale * DEVIATION, MIN_CONTRAST, inputs)
         return inputs
     for view, row in zip(views, inputs):
-        np.subtract(view, np.float32(view.sum(dtype=np.uint64) / len(view)), out=row)
+        np.subtract(view, np.float32(view.sum(dtype=np.uint32) / len(view)), out=row)
         contrast = np.sqrt(np.dot(row, row) / len(row))
         row *= np.float32(scale * DEVIATION / max(contrast, MIN_CONTRAST))
     return inputs

@@ -12,7 +12,7 @@ LONG = 16384
 # Columns that are combined at a time: those of all rows stay in the second-level cache.
 COLUMNS = 1024
 # Terms of a sum in 32 bits; such sums are added in 64.
-TERMS = 8192
+TERMS = 32768
 
 
 class Projection:

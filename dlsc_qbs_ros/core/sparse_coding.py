@@ -53,12 +53,6 @@ def proximal_steps(codes: np.ndarray, b: np.ndarray, gram: np.ndarray, eta_c: fl
     return codes
 
 
-def squared_errors(codes: np.ndarray, b: np.ndarray, gram: np.ndarray,
-                   squared_inputs: np.ndarray) -> np.ndarray:
-    """Return ||phi c - s||^2 per sample, shape (n,), from ||s||^2 of shape (n,)."""
-    return np.einsum('nm,nm->n', codes, codes @ gram - 2.0 * b) + squared_inputs
-
-
 class Lasso:
     """
     Codes that minimise 1/2 ||phi c - s||^2 + lambda_1 ||c||_1 (paper, eq. problem), for one phi.
