@@ -1,9 +1,12 @@
 """What a user installs: declared dependencies, profiles, launch files and executables."""
 
 import ast
+from ctypes import CDLL
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import shlex
+import shutil
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -131,3 +134,47 @@ def test_the_demo_without_a_build_says_what_to_do(tmp_path, monkeypatch, capsys)
     assert demo.main(['--out', 'demo_output']) == 1
     assert capsys.readouterr().err == (
         'demo: install/dlsc_qbs_ros is missing: run `make build` first\n')
+
+
+# The compiled kernel
+
+COMPILER = os.environ.get('CC', 'cc')
+
+
+def built(folder, compiler, left_behind=b''):
+    """Build a copy of the package with setup.py; return the process and the kernel's path."""
+    for name in ('setup.py', 'setup.cfg'):
+        shutil.copy(ROOT / name, folder)
+    core = Path('dlsc_qbs_ros', 'core')
+    shutil.copytree(ROOT / core, folder / core, ignore=shutil.ignore_patterns('*.so'))
+    (folder / core.parent / '__init__.py').touch()
+    if left_behind:
+        (folder / core / '_kernel.so').write_bytes(left_behind)
+    done = subprocess.run(
+        [sys.executable, 'setup.py', 'build_py', '--build-lib', 'out'], cwd=folder,
+        env={**os.environ, 'CC': compiler}, timeout=120, capture_output=True, text=True)
+    return done, folder / 'out' / core / '_kernel.so'
+
+
+def test_a_build_compiles_a_kernel_that_loads(tmp_path):
+    if shutil.which(shlex.split(COMPILER)[0]) is None:
+        pytest.skip(f'there is no compiler {COMPILER!r}')
+    done, library = built(tmp_path, f'{COMPILER} -Wall -Wextra -Werror')
+    assert done.returncode == 0, done.stderr
+    assert 'without its compiled kernel' not in done.stdout, done.stderr
+    CDLL(str(library))
+
+
+@pytest.mark.parametrize('compiler', ['/nowhere/cc', 'false', f'{sys.executable} -c exit(3)'])
+def test_a_build_without_a_compiler_goes_without_the_kernel_and_says_so(compiler, tmp_path):
+    done, library = built(tmp_path, compiler)
+    assert done.returncode == 0, done.stderr
+    assert 'the package goes without its compiled kernel' in done.stdout
+    assert library.with_name('kernel.py').is_file()
+    assert not library.exists()
+
+
+def test_a_kernel_that_an_earlier_build_left_behind_is_not_packed(tmp_path):
+    done, library = built(tmp_path, '/nowhere/cc', left_behind=b'of another version')
+    assert done.returncode == 0, done.stderr
+    assert not library.exists()

@@ -4,7 +4,8 @@ from algorithm_1 import prox
 import numpy as np
 import pytest
 
-from dlsc_qbs_ros.core.sparse_coding import Lasso, proximal_steps, soft_threshold, squared_errors
+from dlsc_qbs_ros.core import kernel, sparse_coding
+from dlsc_qbs_ros.core.sparse_coding import Lasso, proximal_steps, soft_threshold
 
 LAMBDA_1 = 0.2
 
@@ -15,10 +16,6 @@ def problem(seed, n_samples=7, n_atoms=12, n_inputs=40):
     inputs = rng.normal(0.0, 1.0, (n_samples, n_inputs))
     atoms = rng.normal(0.0, 0.3, (n_atoms, n_inputs)) + 0.2 * rng.normal(size=n_inputs)
     return inputs, atoms, inputs @ atoms.T, atoms @ atoms.T
-
-
-def step_of(gram):
-    return 1.0 / np.linalg.eigvalsh(gram)[-1]
 
 
 def objective(codes, inputs, atoms, lambda_1=LAMBDA_1):
@@ -59,14 +56,6 @@ def test_proximal_steps_are_those_on_the_input_itself():
 def test_no_steps_leave_the_codes_alone():
     _, _, b, gram = problem(0)
     np.testing.assert_array_equal(proximal_steps(b, b, gram, 0.01, LAMBDA_1, 0), b)
-
-
-def test_squared_errors_are_those_of_the_reprojection():
-    inputs, atoms, b, gram = problem(2)
-    codes = np.random.default_rng(1).normal(size=b.shape)
-    np.testing.assert_allclose(
-        squared_errors(codes, b, gram, np.sum(inputs ** 2, axis=1)),
-        np.sum((codes @ atoms - inputs) ** 2, axis=1))
 
 
 # The converged codes
@@ -134,7 +123,115 @@ def test_nothing_seen_is_coded_as_nothing():
 def test_a_fast_sample_is_as_exact_beside_a_slow_one():
     """A batch goes on until its slowest sample has converged; the others stand still."""
     _, _, b, gram = problem(8)
-    step = step_of(gram)
     together = Lasso(gram, LAMBDA_1).solve(b)
     alone = np.concatenate([Lasso(gram, LAMBDA_1).solve(row[None]) for row in b])
     np.testing.assert_allclose(together, alone, atol=1e-12)
+
+
+# How exact they are: by active sets in float64, and by descent where there is no other way
+
+@pytest.fixture(params=[False, pytest.param(True, marks=pytest.mark.skipif(
+    kernel.LIBRARY is None, reason='the compiled kernel was not built'))],
+    ids=['numpy', 'kernel'])
+def with_and_without_kernel(request, monkeypatch):
+    if not request.param:
+        monkeypatch.setattr(kernel, 'LIBRARY', None)
+
+
+def violation(codes, b, gram, lambda_1):
+    """Return how far the optimality conditions are missed, relative to the largest |b|."""
+    pull = b - codes @ gram
+    missed = np.where(codes != 0.0, np.abs(pull - lambda_1 * np.sign(codes)),
+                      np.maximum(np.abs(pull) - lambda_1, 0.0))
+    return missed.max() / np.abs(b).max()
+
+
+def forbid_descent(monkeypatch):
+    monkeypatch.setattr(sparse_coding, 'MAX_STEPS', 0)
+
+
+@pytest.mark.parametrize('n_atoms, n_inputs', [(1, 5), (12, 40), (64, 1376), (64, 100)])
+@pytest.mark.parametrize('lambda_1', [0.0, 0.05, 0.2, 1.0, 5.0, 20.0, 1e3])
+@pytest.mark.usefixtures('with_and_without_kernel')
+def test_codes_of_independent_atoms_are_exact(n_atoms, n_inputs, lambda_1, monkeypatch):
+    forbid_descent(monkeypatch)
+    _, _, b, gram = problem(0, 50, n_atoms, n_inputs)
+    assert violation(Lasso(gram, lambda_1).solve(b), b, gram, lambda_1) < 1e-10
+
+
+@pytest.mark.parametrize('share', [0.0, 0.02, 0.1, 0.5, 0.9, 1.0])
+@pytest.mark.usefixtures('with_and_without_kernel')
+def test_codes_are_exact_however_many_entries_are_zero(share, monkeypatch):
+    """From all of them to none; the penalty is the one that leaves about this share."""
+    forbid_descent(monkeypatch)
+    _, _, b, gram = problem(1, 40, 64, 1376)
+    lambda_1 = 1.001 * np.quantile(np.abs(b), 1.0 - share) if share < 1.0 else 0.0
+    codes = Lasso(gram, lambda_1).solve(b)
+    assert violation(codes, b, gram, lambda_1) < 1e-10
+    assert np.mean(codes != 0.0) == pytest.approx(share, abs=0.3)
+    assert codes.any() == (share > 0.0)
+
+
+@pytest.mark.parametrize('closeness', [1e-1, 1e-2, 1e-3])
+@pytest.mark.usefixtures('with_and_without_kernel')
+def test_two_atoms_that_are_nearly_one_are_told_apart(closeness, monkeypatch):
+    forbid_descent(monkeypatch)
+    inputs, atoms, _, _ = problem(2, 50, 16, 200)
+    atoms[1] = atoms[0] + closeness * atoms[1]
+    b, gram = inputs @ atoms.T, atoms @ atoms.T
+    assert violation(Lasso(gram, LAMBDA_1).solve(b), b, gram, LAMBDA_1) < 1e-9
+
+
+@pytest.mark.usefixtures('with_and_without_kernel')
+def test_without_a_penalty_the_code_is_that_of_least_squares():
+    inputs, atoms, b, gram = problem(3)
+    expected = np.linalg.lstsq(atoms.T, inputs.T, rcond=None)[0].T
+    np.testing.assert_allclose(Lasso(gram, 0.0).solve(b), expected, atol=1e-10)
+
+
+@pytest.mark.parametrize('product, expected', [
+    (3.0, 1.4), (-3.0, -1.4), (0.21, 0.005), (0.2, 0.0), (0.1, 0.0), (0.0, 0.0)])
+@pytest.mark.usefixtures('with_and_without_kernel')
+def test_the_code_of_one_atom_by_hand(product, expected):
+    codes = Lasso(np.array([[2.0]]), 0.2).solve(np.array([[product]]))
+    assert codes == pytest.approx(np.array([[expected]]), abs=1e-15)
+
+
+@pytest.mark.parametrize('lambda_1', [0.0, 0.2])
+@pytest.mark.parametrize('n_atoms', [12, 50])
+@pytest.mark.usefixtures('with_and_without_kernel')
+def test_an_input_without_products_has_no_code(lambda_1, n_atoms):
+    *_, gram = problem(4, n_atoms=n_atoms)
+    codes = Lasso(gram, lambda_1).solve(np.zeros((2, n_atoms)))
+    np.testing.assert_array_equal(codes, np.zeros((2, n_atoms)))
+
+
+@pytest.mark.parametrize('n_atoms', [41, 60])
+@pytest.mark.parametrize('lambda_1', [0.2, 3.0])
+@pytest.mark.usefixtures('with_and_without_kernel')
+def test_codes_of_dependent_atoms_are_exact_to_the_tolerance(n_atoms, lambda_1):
+    """More atoms than inputs: the code may not be the only one, but no other costs less."""
+    _, _, b, gram = problem(5, 10, n_atoms, 40)
+    codes = Lasso(gram, lambda_1).solve(b)
+    assert violation(codes, b, gram, lambda_1) < 10 * sparse_coding.TOLERANCE
+
+
+@pytest.mark.usefixtures('with_and_without_kernel')
+def test_an_atom_that_occurs_twice_is_no_obstacle():
+    inputs, atoms, _, _ = problem(6, 10, 6)
+    atoms[3] = atoms[2]
+    b, gram = inputs @ atoms.T, atoms @ atoms.T
+    assert violation(
+        Lasso(gram, LAMBDA_1).solve(b), b, gram, LAMBDA_1) < 10 * sparse_coding.TOLERANCE
+
+
+@pytest.mark.usefixtures('with_and_without_kernel')
+def test_where_no_guess_confirms_itself_in_time_the_code_is_found_by_descent(monkeypatch):
+    _, _, b, gram = problem(7, 50, 64, 100)
+    exact = Lasso(gram, LAMBDA_1).solve(b)
+    monkeypatch.setattr(sparse_coding, 'MAX_SETS', 1)
+    codes = Lasso(gram, LAMBDA_1).solve(b)
+    assert violation(codes, b, gram, LAMBDA_1) < 10 * sparse_coding.TOLERANCE
+    differs = np.any(codes != exact, axis=1)
+    assert differs.any()
+    np.testing.assert_allclose(codes, exact, atol=1e-2 * np.abs(exact).max())

@@ -10,7 +10,7 @@ from . import kernel
 # product of two views lies below that of a sum in 32 bits.
 LONG = 16384
 # Columns that are combined at a time: those of all rows stay in the second-level cache.
-COLUMNS = 1024
+COLUMNS = 512
 # Terms of a sum in 32 bits; such sums are added in 64.
 TERMS = 32768
 

@@ -108,13 +108,14 @@ class Lasso:
             code = inverse @ (b - multiplier)
             zero = np.flatnonzero(signs == 0.0)
             if len(zero):
-                q = np.linalg.solve(inverse[np.ix_(zero, zero)], code[zero])
-                code -= inverse[:, zero] @ q
+                columns = inverse[:, zero]
+                q = np.linalg.solve(columns[zero], code[zero])
+                code -= columns @ q
                 code[zero] = 0.0
                 multiplier[zero] = q
             guess = multiplier + self._weight * code
-            found = np.where(np.abs(guess) > lambda_1, np.sign(guess), 0.0)
-            if np.array_equal(found, signs):
+            found = np.sign(guess) * (np.abs(guess) > lambda_1)
+            if (found == signs).all():
                 return code
             signs = found
         return None

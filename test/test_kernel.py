@@ -1,0 +1,143 @@
+"""The compiled kernel does what numpy does without it, and is never missed."""
+
+import numpy as np
+import pytest
+
+from dlsc_qbs_ros.config import EncoderConfig
+from dlsc_qbs_ros.core import kernel
+from dlsc_qbs_ros.core.dictionary import DictionaryLearner
+from dlsc_qbs_ros.core.preprocessing import view_to_inputs
+from dlsc_qbs_ros.core.snapshot import subtract_product
+from dlsc_qbs_ros.core.sparse_coding import Lasso, proximal_steps
+
+LIBRARY = kernel.LIBRARY
+needs_kernel = pytest.mark.skipif(
+    kernel.LIBRARY is None, reason='the compiled kernel was not built')
+
+
+def with_and_without(function):
+    """Return what a function gives with the kernel and without it."""
+    compiled = function()
+    with kernel.disabled():
+        return compiled, function()
+
+
+def assert_same(function, tolerance):
+    compiled, plain = with_and_without(function)
+    assert (compiled.shape, compiled.dtype) == (plain.shape, plain.dtype)
+    np.testing.assert_allclose(
+        compiled, plain, rtol=0.0, atol=tolerance * np.abs(plain).max() + 1e-300)
+
+
+# Each function beside its twin in numpy
+
+def views(kind, n, height=12, width=31):
+    rng = np.random.default_rng(0)
+    return {'noise': rng.integers(0, 256, (n, height, width)),
+            'black': np.zeros((n, height, width)), 'white': np.full((n, height, width), 255),
+            'flat': 100 + rng.integers(0, 3, (n, height, width)),
+            'half': np.arange(n * height * width).reshape(n, height, width) % 2 * 255,
+            }[kind].astype(np.uint8)
+
+
+@needs_kernel
+@pytest.mark.parametrize('standardise', [True, False])
+@pytest.mark.parametrize('n', [1, 3])
+@pytest.mark.parametrize('kind', ['noise', 'black', 'white', 'flat', 'half'])
+def test_views_become_the_same_inputs(kind, n, standardise):
+    assert_same(lambda: view_to_inputs(views(kind, n), standardise), 1e-6)
+
+
+@needs_kernel
+@pytest.mark.parametrize('height, width', [(1, 4095), (64, 64), (1, 4097), (260, 346)])
+def test_views_of_any_size_become_the_same_inputs(height, width):
+    assert_same(lambda: view_to_inputs(views('noise', 2, height, width), True), 1e-6)
+
+
+def problem(n, m, n_inputs, seed=0):
+    """Return products b (n, m) of inputs and atoms, and the Gram matrix (m, m) of these."""
+    rng = np.random.default_rng(seed)
+    atoms = rng.normal(size=(m, n_inputs)) + 0.3 * rng.normal(size=n_inputs)
+    return rng.normal(size=(n, n_inputs)) @ atoms.T, atoms @ atoms.T
+
+
+@needs_kernel
+@pytest.mark.parametrize('n, m', [(1, 1), (1, 7), (5, 16), (2, 64)])
+@pytest.mark.parametrize('n_steps', [0, 1, 10])
+@pytest.mark.parametrize('lambda_1', [0.0, 0.2, 5.0])
+def test_coding_iterations_are_the_same(n, m, n_steps, lambda_1):
+    b, gram = problem(n, m, 100)
+    codes = np.random.default_rng(1).normal(size=b.shape)
+    assert_same(lambda: proximal_steps(codes, b, gram, 1e-3, lambda_1, n_steps), 1e-12)
+
+
+@needs_kernel
+def test_coding_iterations_leave_the_codes_they_start_from_alone():
+    b, gram = problem(2, 8, 100)
+    codes = np.ones_like(b)
+    proximal_steps(codes, b, gram, 1e-3, 0.2, 10)
+    np.testing.assert_array_equal(codes, np.ones_like(b))
+
+
+@needs_kernel
+@pytest.mark.parametrize('m', [1, 7, 64])
+@pytest.mark.parametrize('lambda_1', [0.0, 0.2, 5.0, 30.0, 200.0])
+def test_exact_codes_are_the_same(m, lambda_1):
+    b, gram = problem(20, m, 100)
+    assert_same(lambda: Lasso(gram, lambda_1).solve(b), 1e-10)
+
+
+@needs_kernel
+@pytest.mark.parametrize('n', [1, 2, 5])
+@pytest.mark.parametrize('m, k, width', [(1, 1, 1), (6, 11, 20), (64, 128, 128)])
+def test_subtracting_a_product_of_few_rows_is_the_same(n, m, k, width):
+    rng = np.random.default_rng(0)
+    matrix, x, y = rng.normal(size=(m, width)), rng.normal(size=(n, m)), rng.normal(size=(n, k))
+
+    def subtracted():
+        result = matrix.copy()
+        subtract_product(result[:, :k], x, y)
+        return result
+    assert_same(subtracted, 1e-13)
+
+
+@needs_kernel
+@pytest.mark.parametrize('n_inputs, tolerance', [(300, 1e-6), (20_000, 1e-4)])
+def test_a_learner_is_the_same(n_inputs, tolerance):
+    """Up to what 16 bits take from kept inputs, where these are long."""
+    config = EncoderConfig(n_atoms=8, eta_c=2e-3, epoch_change=0.05)
+    waves = np.cos(np.outer(np.arange(1, 9), np.linspace(0.0, 6.0, n_inputs)))
+    inputs = np.random.default_rng(0).normal(size=(60, 1, 8)) @ waves
+    inputs *= 75.0 / np.linalg.norm(inputs, axis=2, keepdims=True)
+
+    def atoms():
+        learner = DictionaryLearner(n_inputs, config)
+        for batch in inputs.astype(np.float32):
+            learner.infer(batch)
+            learner.learn(batch)
+        assert learner.is_stable
+        return np.concatenate([learner.atoms_, learner.snapshot_], axis=1)
+    assert_same(atoms, tolerance)
+
+
+# With it or without
+
+@needs_kernel
+def test_disabled_ends_with_its_block_even_by_an_error():
+    with kernel.disabled():
+        assert kernel.LIBRARY is None
+    assert kernel.LIBRARY is LIBRARY
+    with pytest.raises(KeyError), kernel.disabled():
+        raise KeyError
+    assert kernel.LIBRARY is LIBRARY
+
+
+def test_where_no_library_was_built_there_is_none(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel, '__file__', str(tmp_path / 'kernel.py'))
+    assert kernel._load() is None
+
+
+def test_a_library_of_another_machine_is_left_alone(tmp_path, monkeypatch):
+    (tmp_path / '_kernel.so').write_bytes(b'\x7fELF of another machine')
+    monkeypatch.setattr(kernel, '__file__', str(tmp_path / 'kernel.py'))
+    assert kernel._load() is None
