@@ -212,7 +212,7 @@ class DictionaryLearner:
         self._spare, self._n_touched = np.empty_like(self.snapshot_), 0
 
     def _touch_spare(self) -> None:
-        """Use some of the next snapshot's memory, or its first frame would have all of it mapped."""
+        """Use some of the next snapshot's memory: its first frame would have it all mapped."""
         end = self._n_touched + TOUCHED_PER_FRAME
         self._spare.reshape(-1)[self._n_touched:end] = 0.0
         self._n_touched = end
