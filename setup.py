@@ -18,10 +18,10 @@ FLAGS = ('-O3', '-fno-math-errno', '-fno-trapping-math', '-fno-signed-zeros', '-
 def build_kernel():
     """Compile the kernel beside its source; without a compiler, numpy does its work."""
     library = KERNEL.with_suffix('.so')
-    library.unlink(missing_ok=True)
     compiler = shlex.split(os.environ.get('CC', 'cc'))
     try:
-        subprocess.run([*compiler, *FLAGS, KERNEL, '-o', library], check=True)
+        library.unlink(missing_ok=True)
+        subprocess.run([*compiler, *FLAGS, KERNEL, '-o', library, '-lm'], check=True)
     except (OSError, subprocess.CalledProcessError) as error:
         print(f'the package goes without its compiled kernel: {error}')
 

@@ -109,7 +109,8 @@ class EncoderConfig(Section):
     gate_window: int = parameter(
         5, 'width of the moving average over the surprise', unit='frames', bounds=(1, 1000))
     epoch_change: float = parameter(
-        0.25, 'relative change of the dictionary that starts a new epoch', bounds=(1e-3, 10.0))
+        0.25, 'relative change of the dictionary that starts a new epoch; so does a lack of room '
+        'for more inputs learned from', bounds=(1e-3, 10.0))
     seed: int = parameter(0, 'seed of the initial dictionary', bounds=(0, 2**31 - 1))
 
     def __post_init__(self):

@@ -92,7 +92,7 @@ def columns_per_frame(n):
 # Algorithm 1
 
 @pytest.mark.parametrize('n_inputs, n_atoms, n_frames', [(30, 8, 500), (1376, 16, 200),
-                                                         (MANY, 16, 60)])
+                                                         (MANY, 8, 50)])
 @pytest.mark.parametrize('n_learning', [1, 3])
 def test_live_atoms_are_those_of_algorithm_1_through_many_snapshots(
         n_inputs, n_atoms, n_frames, n_learning):
@@ -138,6 +138,18 @@ def test_frames_without_learning_change_codes_only():
         learner.infer(batch)
     np.testing.assert_array_equal(learner.gram_, gram)
     np.testing.assert_allclose(learner.atoms_, atoms, rtol=0, atol=1e-6 * np.abs(atoms).max())
+
+
+@pytest.mark.parametrize('config, scale', [
+    (EncoderConfig(n_atoms=8, n_learning=0), 1.0), (EncoderConfig(n_atoms=8, eta_d=0.0), 1.0),
+    (EncoderConfig(n_atoms=8), 0.0)], ids=['no steps', 'no rate', 'nothing seen'])
+def test_learning_that_leaves_the_atoms_alone_takes_no_snapshot(config, scale):
+    learner = DictionaryLearner(300, config)
+    held, atoms = learner.snapshot_, learner.atoms_
+    for batch in np.float32(scale) * stream(200, 300):
+        step(learner, batch)
+    assert learner.snapshot_ is held
+    np.testing.assert_array_equal(learner.atoms_, atoms)
 
 
 # Snapshots

@@ -80,6 +80,17 @@ def test_coding_iterations_leave_the_codes_they_start_from_alone():
 
 
 @needs_kernel
+@pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf])
+def test_coding_iterations_hide_nothing_that_is_not_finite(bad):
+    b, gram = problem(1, 8, 100)
+    b[0, 3] = bad
+    with np.errstate(all='ignore'):
+        for codes in with_and_without(
+                lambda: proximal_steps(np.zeros_like(b), b, gram, 1e-3, 0.2, 10)):
+            assert not np.isfinite(codes).all()
+
+
+@needs_kernel
 @pytest.mark.parametrize('m', [1, 7, 64])
 @pytest.mark.parametrize('lambda_1', [0.0, 0.2, 5.0, 30.0, 200.0])
 def test_exact_codes_are_the_same(m, lambda_1):
@@ -120,6 +131,43 @@ def test_a_learner_is_the_same(n_inputs, tolerance):
     assert_same(atoms, tolerance)
 
 
+# However arrays lie in memory
+
+def layouts(array):
+    """Return arrays equal to the one given, in other orders and with gaps."""
+    wide = np.repeat(np.repeat(array, 2, axis=0), 2, axis=-1)
+    return [np.asfortranarray(array), wide[::2, ..., ::2], array[::-1].copy()[::-1],
+            array[..., ::-1].copy()[..., ::-1]]
+
+
+def test_views_may_lie_in_memory_as_they_like():
+    array = views('noise', 3)
+    for same in layouts(array):
+        np.testing.assert_array_equal(view_to_inputs(same, True), view_to_inputs(array, True))
+
+
+def test_products_may_lie_in_memory_as_they_like():
+    b, gram = problem(3, 8, 100)
+    for same in layouts(b):
+        for function in (Lasso(gram, 0.2).solve,
+                         lambda b: proximal_steps(np.zeros_like(b), b, gram, 1e-3, 0.2, 10)):
+            np.testing.assert_array_equal(function(same), function(b))
+
+
+@pytest.mark.parametrize('n_inputs', [300, 20_000])
+def test_inputs_may_lie_in_memory_as_they_like(n_inputs):
+    inputs = np.random.default_rng(0).normal(size=(3, n_inputs)).astype(np.float32)
+
+    def atoms(inputs):
+        learner = DictionaryLearner(n_inputs, EncoderConfig(n_atoms=8))
+        for _ in range(3):
+            learner.infer(inputs)
+            learner.learn(inputs)
+        return learner.atoms_
+    for same in layouts(inputs):
+        np.testing.assert_allclose(atoms(same), atoms(inputs), atol=1e-5)
+
+
 # With it or without
 
 @needs_kernel
@@ -134,6 +182,11 @@ def test_disabled_ends_with_its_block_even_by_an_error():
 
 def test_where_no_library_was_built_there_is_none(tmp_path, monkeypatch):
     monkeypatch.setattr(kernel, '__file__', str(tmp_path / 'kernel.py'))
+    assert kernel._load() is None
+
+
+def test_a_library_of_an_earlier_version_is_left_alone(monkeypatch):
+    monkeypatch.setattr(kernel, 'CDLL', lambda path: object())
     assert kernel._load() is None
 
 

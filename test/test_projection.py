@@ -187,6 +187,7 @@ def test_what_is_not_finite_in_one_input_spoils_no_other(bad):
     products = projection.products(inputs, 5)[:, N_ATOMS:]
     sound = [0, 1, 3, 4]
     assert (deviations(products[:, sound], inputs, kept[sound].astype(float)) < 1e-4).all()
+    assert not np.isfinite(products[:, 2]).any()
     inputs[0, 3] = bad
     assert not np.isfinite(projection.products(inputs, 5)).any()
 

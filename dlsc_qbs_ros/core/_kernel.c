@@ -7,7 +7,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+#if defined(__x86_64__) && defined(__GLIBC__) && __GNUC__ >= 12 && !defined(__clang__)
 #define EVERY_X86_64 __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else
 #define EVERY_X86_64
@@ -65,7 +65,11 @@ double shorten(const float *values, size_t n, int16_t *row)
     }
     float largest;
     memcpy(&largest, &bits, sizeof largest);
-    const float factor = largest > 0 ? TOP / largest : 0;
+    if (!isfinite(largest)) {  /* nor are its products, then */
+        memset(row, 0, n * sizeof *row);
+        return NAN;
+    }
+    const float factor = largest > 1e-30f ? TOP / largest : 0;
     for (size_t j = 0; j < n; j++)
         row[j] = (int16_t)((int)(values[j] * factor + (TOP + 1.5f)) - (TOP + 1));
     return largest / TOP;
@@ -88,8 +92,9 @@ void standardise(const uint8_t *view, size_t n, double deviation, double min_con
         squares += block_squares;
     }
     const double mean = (double)sum / n;
-    const double contrast = sqrt(fmax((double)squares / n - mean * mean, 0));
-    const float factor = (float)(deviation / fmax(contrast, min_contrast)), middle = (float)mean;
+    const double variance = (double)squares / n - mean * mean;
+    const double contrast = variance > min_contrast * min_contrast ? sqrt(variance) : min_contrast;
+    const float factor = (float)(deviation / contrast), middle = (float)mean;
     for (size_t j = 0; j < n; j++)
         input[j] = ((float)view[j] - middle) * factor;
 }
@@ -113,7 +118,8 @@ void proximal_steps(double *code, const double *b, const double *gram, size_t m,
         multiply(gram, m, code, work);
         for (size_t j = 0; j < m; j++) {
             const double x = code[j] - eta_c * (work[j] - b[j]);
-            code[j] = x > threshold ? x - threshold : x < -threshold ? x + threshold : 0;
+            const double taken = x > threshold ? threshold : x < -threshold ? -threshold : x;
+            code[j] = x - taken;  /* not 0 where x is not finite */
         }
     }
 }

@@ -86,7 +86,7 @@ class DictionaryLearner:
 
     def restart(self, atoms: np.ndarray) -> None:
         """Go on from these atoms (n_atoms, n_inputs) and zero codes."""
-        self.snapshot_ = atoms.astype(np.float32)
+        self.snapshot_ = np.array(atoms, np.float32, order='C')
         self.snapshot_.flags.writeable = False
         self.snapshot_gram_ = gram_of(self.snapshot_)
         self._rows = make_projection(self.snapshot_, self._room)
@@ -123,8 +123,7 @@ class DictionaryLearner:
         Raises
         ------
         ValueError
-            When there are more of them than inputs can be kept, eight times `n_atoms` or, of
-            long inputs, `n_atoms`.
+            When there are more of them than can be kept: `n_atoms` at the paper's size.
 
         """
         if len(inputs) > self._room:
@@ -150,16 +149,18 @@ class DictionaryLearner:
 
         Lines 5 to 11. With residuals r = c phi - s, phi becomes phi - eta_d c^T r / n, and the
         products with it follow: g = r phi^T = c G - b, s r^T = b c^T - s s^T, and
-        r r^T = g c^T - r s^T.
+        r r^T = g c^T - r s^T, of which only the symmetric part matters.
         """
         codes, rate = self.codes_, self._config.eta_d / len(inputs)
+        if not (self._config.n_learning * rate * codes).any():
+            return  # phi stays as it is: there is no input to keep
         relations = [(self._live, self.snapshot_products_)]
         if self._next is not None:
             relations.append((self._next.live, self._next.products(self._products)))
         self._rows.keep(self._n_kept, inputs)
         for _ in range(self._config.n_learning):
             input_residuals = self._b @ codes.T - self._among
-            residuals = self._gradient @ codes.T - input_residuals.T
+            residuals = self._gradient @ codes.T - input_residuals
             for relation, products in relations:
                 relation.learn(codes, products, self._n_kept, rate)
             half = rate * self._gradient - (0.5 * rate * rate) * (residuals @ codes)

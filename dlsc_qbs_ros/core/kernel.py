@@ -15,19 +15,19 @@ import numpy as np
 
 
 def _load() -> CDLL | None:
+    array, size, number = c_void_p, c_size_t, c_double
     try:
         library = CDLL(str(Path(__file__).with_name('_kernel.so')))
-    except OSError:  # not there, or of another machine
+        for function, arguments in (
+                (library.project, (array, size, size, array, array)),
+                (library.shorten, (array, size, array)),
+                (library.standardise, (array, size, number, number, array)),
+                (library.proximal_steps, (array, array, array, size, number, number, size, array)),
+                (library.active_set, (array, array, size, number, number, size, array, array)),
+                (library.subtract_product, (array, size, size, size, size, array, array))):
+            function.argtypes, function.restype = arguments, None
+    except (OSError, AttributeError):  # not there, of another machine, or of an earlier version
         return None
-    array, size, number = c_void_p, c_size_t, c_double
-    for function, arguments in (
-            (library.project, (array, size, size, array, array)),
-            (library.shorten, (array, size, array)),
-            (library.standardise, (array, size, number, number, array)),
-            (library.proximal_steps, (array, array, array, size, number, number, size, array)),
-            (library.active_set, (array, array, size, number, number, size, array, array)),
-            (library.subtract_product, (array, size, size, size, size, array, array))):
-        function.argtypes, function.restype = arguments, None
     library.shorten.restype, library.active_set.restype = c_double, c_int
     return library
 
@@ -37,7 +37,7 @@ LIBRARY = _load()
 
 @contextmanager
 def disabled() -> Iterator[None]:
-    """Do without the kernel, for what is made and called meanwhile."""
+    """Do without the kernel, in what is made meanwhile; a learner made before needs it still."""
     global LIBRARY
     library, LIBRARY = LIBRARY, None
     try:

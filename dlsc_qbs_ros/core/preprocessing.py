@@ -94,7 +94,7 @@ def view_to_inputs(views: np.ndarray, standardise: bool, out: np.ndarray | None 
     ndarray of shape (n_views, height * width), float32
 
     """
-    views = views.reshape(len(views), -1)
+    views = np.ascontiguousarray(views).reshape(len(views), -1)
     scale = input_scale(views.shape[1])
     inputs = np.empty(views.shape, np.float32) if out is None else out
     if not standardise:

@@ -12,7 +12,7 @@ from . import kernel
 
 TOLERANCE = 1e-6
 MAX_STEPS = 2000
-MAX_SETS = 10
+MAX_SETS = 20
 REGULAR = 1e-8
 
 
@@ -47,6 +47,7 @@ def proximal_steps(codes: np.ndarray, b: np.ndarray, gram: np.ndarray, eta_c: fl
 
     """
     if kernel.LIBRARY is not None:
+        b = np.ascontiguousarray(b)
         return kernel.proximal_steps(codes, b, gram, eta_c, eta_c * lambda_1, n_steps)
     for _ in range(n_steps):
         codes = soft_threshold(codes - eta_c * (codes @ gram - b), eta_c * lambda_1)
@@ -81,10 +82,11 @@ class Lasso:
         """
         Return the codes (n, M), float64, of products b = s phi^T (n, M), float64.
 
-        Each is exact, or, where the atoms are not independent, exact to `TOLERANCE`.
+        Each is exact; where the atoms are all but dependent, or no guess confirms itself, it is
+        exact to `TOLERANCE` times the largest |b|, or what `MAX_STEPS` of descent lead to.
         """
-        codes = np.empty_like(b)
-        for i, row in enumerate(b):
+        codes = np.empty(b.shape)
+        for i, row in enumerate(np.ascontiguousarray(b)):
             code = None if self._inverse is None else self._by_active_set(row)
             codes[i] = self._by_descent(row) if code is None else code
         return codes
