@@ -1,15 +1,28 @@
-"""What tools with parameters share: reading --config and --set, writing into --out."""
+"""What the tools share: their exit code, reading --config and --set, writing into --out."""
 
 from __future__ import annotations
 
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Iterable, Iterator
+import sys
+from typing import Any, Callable, Iterable, Iterator
 
 import yaml
 
 from ..config import Config, load_profile, parse_assignment
 from ..errors import DlscQbsError
+
+
+def run_tool(name: str, work: Callable[[Any], None], options: Any) -> int:
+    """Do a tool's work; print an expected error as one line and return the exit code."""
+    try:
+        work(options)
+    except DlscQbsError as error:
+        print(f'{name}:', ' '.join(str(error).split()), file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
 
 
 def given_values(profile: Path | None, assignments: Iterable[str]) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from typing import Iterator, NamedTuple, Sequence
 import numpy as np
 import yaml
 
+from .common import run_tool
 from ..core.types import GroundTruthSample
 from ..errors import DlscQbsError
 from ..evaluation.alignment import align
@@ -40,15 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the demonstration; print expected errors as one line and return the exit code."""
     parser = argparse.ArgumentParser(prog='demo', description=__doc__)
     parser.add_argument('--out', metavar='DIR', type=Path, required=True)
-    out = parser.parse_args(argv).out
-    try:
-        _demonstrate(out)
-    except DlscQbsError as error:
-        print(f'demo: {error}', file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    return 0
+    return run_tool('demo', _demonstrate, parser.parse_args(argv).out)
 
 
 def _demonstrate(out: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Iterable, Iterator, Mapping, Sequence
 
 from tqdm import tqdm
 
-from .common import given_values, write_config, writing
+from .common import given_values, run_tool, write_config, writing
 from ..config import Config
 from ..core.types import Frame, GroundTruthSample
 from ..errors import ConfigError, DlscQbsError, RecordingError
@@ -27,15 +27,7 @@ TUNING_GRID = tuple(round(0.98 - 0.04 * step, 2) for step in range(13))
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Evaluate flights; print expected errors as one line and return the exit code."""
-    args = _parser().parse_args(argv)
-    try:
-        _evaluate(args)
-    except DlscQbsError as error:
-        print('evaluate:', ' '.join(str(error).split()), file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    return 0
+    return run_tool('evaluate', _evaluate, _parser().parse_args(argv))
 
 
 def _parser() -> argparse.ArgumentParser:

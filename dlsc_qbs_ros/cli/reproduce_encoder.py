@@ -13,10 +13,10 @@ from typing import Any, Iterable, Sequence
 import numpy as np
 from tqdm import tqdm
 
-from .common import given_values, write_config, writing
+from .common import given_values, run_tool, write_config, writing
 from ..config import Config
 from ..core.types import Frame
-from ..errors import DlscQbsError, RecordingError
+from ..errors import RecordingError
 from ..evaluation.encoder_figure import (
     atoms_finding, Finding, replay_finding, run_away_finding)
 from ..evaluation.encoder_plots import plot_atoms, plot_replay, plot_run_away
@@ -40,15 +40,7 @@ N_DRAWS = 3
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Reproduce the figure; print expected errors as one line and return the exit code."""
-    args = _parser().parse_args(argv)
-    try:
-        _reproduce(args)
-    except DlscQbsError as error:
-        print('reproduce_encoder:', ' '.join(str(error).split()), file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    return 0
+    return run_tool('reproduce_encoder', _reproduce, _parser().parse_args(argv))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-import sys
 from typing import Callable, Sequence
 
 from tqdm import tqdm
 
+from .common import run_tool
 from ..core.types import GroundTruthSample, RawOdometry
-from ..errors import ConfigError, DlscQbsError, RecordingError
+from ..errors import ConfigError, RecordingError
 from ..io.bag import BagWriter
 from ..sim.encodings import ENCODINGS
 from ..sim.simulation import Picture, simulate_flight, SimulatedFlight
@@ -24,15 +24,7 @@ TOPICS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Simulate a flight; print expected errors as one line and return the exit code."""
-    args = _parser().parse_args(argv)
-    try:
-        _simulate(args)
-    except DlscQbsError as error:
-        print('simulate:', ' '.join(str(error).split()), file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    return 0
+    return run_tool('simulate', _simulate, _parser().parse_args(argv))
 
 
 def _parser() -> argparse.ArgumentParser:
