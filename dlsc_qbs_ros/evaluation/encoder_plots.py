@@ -7,8 +7,8 @@ from typing import Sequence
 
 import numpy as np
 
+from .plots import new_figure
 from ..core.mosaic import mosaic
-from ..errors import DlscQbsError
 
 # The palette of Okabe and Ito, as in plots.py; told apart in grey by line style.
 WITH_QBS = {'color': '#0072B2', 'linestyle': '-', 'linewidth': 1.8}
@@ -44,7 +44,7 @@ def plot_replay(path: Path, gated: np.ndarray, always: np.ndarray,
         matplotlib is missing.
 
     """
-    figure, axes = _figure(path, (10.0, 5.5))
+    figure, axes = new_figure(path, (10.0, 5.5))
     curves = [(errors, RANDOM, f'random frames, draw {k}') for k, errors in enumerate(draws, 1)]
     curves += [(always, WITHOUT_QBS, 'without QBS'), (gated, WITH_QBS, 'with QBS')]
     medians = [np.median(errors) for errors, _, _ in curves if not np.isnan(errors).any()]
@@ -66,7 +66,7 @@ def plot_run_away(path: Path, gated, always, note: str) -> None:
     `gated` and `always` are a pipeline.continual_learning.Learning. A cross ends a run whose next
     error is not finite; bars at the bottom mark frames outside the stable range.
     """
-    figure, axes = _figure(path, (10.0, 5.5))
+    figure, axes = new_figure(path, (10.0, 5.5))
     runs = [(always, WITHOUT_QBS, 'without QBS'), (gated, WITH_QBS, 'with QBS')]
     stable = np.concatenate([run.errors[run.stable] for run, _, _ in runs])
     ceiling = RUN_AWAY_CEILING * stable.max(initial=1.0)
@@ -88,21 +88,12 @@ def plot_run_away(path: Path, gated, always, note: str) -> None:
 
 def plot_atoms(path: Path, atoms: np.ndarray, height: int, width: int, note: str) -> None:
     """Write atoms of shape (n_atoms, height * width) as one PNG, each scaled by itself."""
-    figure, axes = _figure(path, (9.0, 7.5))
+    figure, axes = new_figure(path, (9.0, 7.5))
     axes.imshow(mosaic(atoms, height, width), cmap='gray', vmin=0, vmax=255,
                 interpolation='nearest' if width < 100 else 'antialiased')
     axes.set_title(f'Atoms learned with QBS, zero in mid grey\n{note}')
     axes.set_axis_off()
     figure.savefig(path, dpi=150)
-
-
-def _figure(path: Path, size_inches: tuple[float, float]):
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DlscQbsError(f'{path}: pictures need matplotlib: {error}') from error
-    figure = Figure(figsize=size_inches, layout='constrained')
-    return figure, figure.add_subplot()
 
 
 def _finish(figure, axes, path: Path) -> None:

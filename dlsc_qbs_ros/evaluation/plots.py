@@ -32,12 +32,7 @@ def plot_run(path: Path, row: Row, result) -> None:
         matplotlib is missing.
 
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DlscQbsError(f'{path}: pictures need matplotlib: {error}') from error
-    figure = Figure(figsize=(10.0, 6.5), layout='constrained')
-    axes = figure.add_subplot()
+    figure, axes = new_figure(path, (10.0, 6.5))
     lines = [(result.poses, ONLINE, 'estimate, online'),
              (result.final_poses, FINAL, 'estimate, final map'),
              (_anchored(result), ODOMETRY, 'odometry alone')]
@@ -52,6 +47,16 @@ def plot_run(path: Path, row: Row, result) -> None:
     axes.grid(color='0.9')
     axes.legend(loc='upper left', bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
     figure.savefig(path, dpi=150)
+
+
+def new_figure(path: Path, size_inches: tuple[float, float]):
+    """Return a matplotlib figure and its axes, for the picture at a path; raise DlscQbsError."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise DlscQbsError(f'{path}: pictures need matplotlib: {error}') from error
+    figure = Figure(figsize=size_inches, layout='constrained')
+    return figure, figure.add_subplot()
 
 
 def _anchored(result) -> np.ndarray:
