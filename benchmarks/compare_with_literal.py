@@ -21,7 +21,7 @@ from dlsc_qbs_ros.sim.simulation import IMAGE_PERIOD_NS, simulate_flight
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / 'test'))
-from exactness import Difference, differences, SETS  # noqa: E402, I100, I202
+from exactness import compared, SETS  # noqa: E402, I100, I202
 
 COLUMNS = ('set', 'frames', 'code', 'dictionary', 'error', 'S_2', 'flips', 'closest', 'eta_c L',
            'ms/frame')
@@ -41,7 +41,7 @@ def frames_of(flight: str, n: int) -> Iterator[Frame]:
 def row(name: str, config: Config, frames: Iterator[Frame], stride: int) -> str:
     """Return the row of one parameter set: the largest difference of each kind."""
     started = time.perf_counter()
-    columns = Difference(*map(np.array, zip(*differences(config, frames, stride=stride))))
+    columns = compared(config, frames, stride=stride)
     n = len(columns.code)
     return ROW.format(
         name, n, columns.code.max(), np.nanmax(columns.dictionary), columns.error.max(),

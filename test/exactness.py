@@ -9,7 +9,7 @@ there the coding iteration of the paper expands, and doubles any rounding error 
 
 from typing import NamedTuple
 
-from algorithm_1 import prox, Step
+from algorithm_1 import Literal
 import numpy as np
 
 from dlsc_qbs_ros.core.dictionary import DictionaryLearner
@@ -44,39 +44,6 @@ class Difference(NamedTuple):
     rate: float
 
 
-class Literal:
-    """`algorithm_1`, one frame at a time, that learns where it is told to."""
-
-    def __init__(self, dictionary, config):
-        self._config = config
-        self._phi = np.array(dictionary, np.float64)
-        self._c = np.zeros(self._phi.shape[1])
-        self._errors = []
-        self.s_2 = 1.0
-
-    @property
-    def largest_error(self):
-        """Return the largest reprojection error in S_2, or 1 before there is one."""
-        return max(self._errors[-6:], default=1.0)
-
-    def step(self, s, learned):
-        """Take one input vector (N,) and return its `Step`."""
-        config, phi, c = self._config, self._phi, self._c
-        s = np.asarray(s, np.float64)
-        for _ in range(config.n_coding):
-            c = prox(c - config.eta_c * phi.T @ (phi @ c - s), config.eta_c * config.lambda_1)
-        self._errors.append(np.sum((phi @ c - s) ** 2))
-        step = Step(c, phi, self._errors[-1], learned)
-        for _ in range(config.n_learning):
-            if learned:
-                phi = phi - config.eta_d * np.outer(phi @ c - s, c)
-        self._phi, self._c = phi, c
-        differences = np.diff(self._errors)
-        if len(differences):
-            self.s_2 = np.mean(differences[-5:])
-        return step
-
-
 def deviation(a, b):
     """Return the largest difference of two arrays relative to the largest entry of b."""
     return np.max(np.abs(a - b)) / np.max(np.abs(b))
@@ -85,6 +52,17 @@ def deviation(a, b):
 def step_size(dictionary, config):
     """Return eta_c lambda_max(G) of an N x M dictionary: coding converges below 2."""
     return config.encoder.eta_c * np.linalg.eigvalsh(dictionary.T @ dictionary)[-1]
+
+
+def literal_beside(learner, config):
+    """Return the literal algorithm from where a learner stands."""
+    return Literal(learner.atoms_.T, **{name: getattr(config.encoder, name) for name in (
+        'eta_c', 'eta_d', 'lambda_1', 'n_coding', 'n_learning')})
+
+
+def compared(config, frames, **changes):
+    """Return the columns of `differences`."""
+    return Difference(*map(np.array, zip(*differences(config, frames, **changes))))
 
 
 def differences(config, frames, literal_config=None, stride=10):
@@ -97,7 +75,7 @@ def differences(config, frames, literal_config=None, stride=10):
     """
     encoder, gate = Encoder(config), SurpriseGate(config.encoder.gate_window)
     learner = DictionaryLearner(config.view.width * config.view.height, config.encoder)
-    literal = Literal(learner.atoms_.T, (literal_config or config).encoder)
+    literal = literal_beside(learner, literal_config or config)
     for k, frame in enumerate(frames):
         margin, decisions = abs(literal.s_2) / literal.largest_error, [gate.is_open]
         decisions.append(literal.s_2 > 0.0)

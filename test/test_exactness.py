@@ -5,7 +5,7 @@ from itertools import islice
 from pathlib import Path
 
 from algorithm_1 import algorithm_1
-from exactness import Difference, differences, Literal, SETS, step_size
+from exactness import compared, literal_beside, SETS, step_size
 import numpy as np
 import pytest
 
@@ -39,11 +39,6 @@ def recorded(name):
     return [event for event in read_flight(folder) if isinstance(event, Frame)]
 
 
-def compared(frames, config, **changes):
-    """Return the columns of `Difference` over the frames up to a run-away."""
-    return Difference(*map(np.array, zip(*differences(config, frames, **changes))))
-
-
 def assert_is_algorithm_1(columns):
     """Assert equality to rounding; a decision may flip where rounding reaches across zero."""
     for name in ('code', 'dictionary', 'error'):
@@ -55,7 +50,7 @@ def assert_is_algorithm_1(columns):
 
 @pytest.mark.parametrize('name', SETS)
 def test_over_a_simulated_flight_the_package_is_algorithm_1(name):
-    columns = compared(simulated(), PAPER.override(SETS[name]))
+    columns = compared(PAPER.override(SETS[name]), simulated())
     assert len(columns.code) == 1000
     assert 300 < columns.learned.sum() < 700
     assert_is_algorithm_1(columns)
@@ -64,14 +59,14 @@ def test_over_a_simulated_flight_the_package_is_algorithm_1(name):
 @pytest.mark.parametrize('name', SETS)
 @pytest.mark.parametrize('flight, n', [('tum_fr1_rpy', 720), ('hololens_walk', 373)])
 def test_over_a_real_flight_the_package_is_algorithm_1(name, flight, n):
-    columns = compared(recorded(flight), PAPER.override(SETS[name]))
+    columns = compared(PAPER.override(SETS[name]), recorded(flight))
     assert len(columns.code) == n
     assert_is_algorithm_1(columns)
 
 
 @pytest.mark.parametrize('name', ['SLAM', 'Fig. a'])
 def test_with_pixels_as_inputs_the_package_is_algorithm_1(name):
-    columns = compared(simulated(), PAPER.override({**PIXELS, **SETS[name]}))
+    columns = compared(PAPER.override({**PIXELS, **SETS[name]}), simulated())
     assert len(columns.code) == 1000
     assert_is_algorithm_1(columns)
 
@@ -80,7 +75,7 @@ def test_with_pixels_as_inputs_the_package_is_algorithm_1(name):
     (87, 65, 'SLAM', 1000), (173, 130, 'Fig. a', 200)])
 def test_with_larger_views_the_package_is_algorithm_1(width, height, name, n):
     config = PAPER.override({'view.width': width, 'view.height': height, **SETS[name]})
-    columns = compared(simulated()[:n], config, stride=50)
+    columns = compared(config, simulated()[:n], stride=50)
     assert len(columns.code) == n
     assert_is_algorithm_1(columns)
 
@@ -88,7 +83,7 @@ def test_with_larger_views_the_package_is_algorithm_1(width, height, name, n):
 def test_where_the_package_runs_away_so_does_algorithm_1():
     """With pixels and the rates of Fig. b, which the surprise does not save on this flight."""
     config = PAPER.override({**PIXELS, **SETS['Fig. b']})
-    columns = compared(simulated(), config)
+    columns = compared(config, simulated())
     n = len(columns.code)
     assert 100 < n < 1000
     assert_is_algorithm_1(columns)
@@ -110,8 +105,8 @@ def literal(frames, config):
 
 def test_the_literal_algorithm_beside_the_package_is_algorithm_1_to_the_last_bit():
     frames = simulated()[:100]
-    beside = Literal(DictionaryLearner(PAPER.view.width * PAPER.view.height, PAPER.encoder)
-                     .atoms_.T, PAPER.encoder)
+    beside = literal_beside(
+        DictionaryLearner(PAPER.view.width * PAPER.view.height, PAPER.encoder), PAPER)
     for frame, expected in zip(frames, literal(frames, PAPER)):
         learned = beside.s_2 > 0.0
         inputs = view_to_inputs(make_view(frame.grey, PAPER.view)[None], True)
@@ -125,14 +120,14 @@ def test_the_literal_algorithm_beside_the_package_is_algorithm_1_to_the_last_bit
     {'encoder.eta_d': 1.5e-3}, {'encoder.eta_c': 4.9e-3}, {'encoder.lambda_1': 0.19},
     {'encoder.n_coding': 9}, {'encoder.n_learning': 2}])
 def test_a_package_with_one_flaw_is_not_algorithm_1(broken):
-    columns = compared(simulated()[:100], PAPER.override(broken), literal_config=PAPER)
+    columns = compared(PAPER.override(broken), simulated()[:100], literal_config=PAPER)
     with pytest.raises(AssertionError, match='code'):
         assert_is_algorithm_1(columns)
 
 
 @pytest.mark.parametrize('broken', [{'encoder.gate': False}, {'encoder.gate_window': 4}])
 def test_a_package_with_another_gate_is_not_algorithm_1(broken):
-    columns = compared(simulated()[:100], PAPER.override(broken))
+    columns = compared(PAPER.override(broken), simulated()[:100])
     assert columns.margin[~columns.agrees].max() > 100 * SURPRISE_TOLERANCE
     with pytest.raises(AssertionError):
         assert_is_algorithm_1(columns)
