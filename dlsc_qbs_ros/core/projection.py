@@ -23,9 +23,9 @@ class Projection:
     The atoms are shared, never copied nor written to.
     """
 
-    def __init__(self, atoms: np.ndarray, room: int):
+    def __init__(self, atoms: np.ndarray, room: int, dtype: type = np.float32):
         self.atoms = atoms
-        self._kept = np.empty((room, atoms.shape[1]), np.float32)
+        self._kept = np.empty((room, atoms.shape[1]), dtype)
 
     def keep(self, start: int, inputs: np.ndarray) -> None:
         """Keep inputs (n, n_inputs), float32, in the slots from `start` on."""
@@ -63,8 +63,7 @@ class ShortProjection(Projection):
     """The same with kept inputs of 16 bits, each in a unit of its own, for the kernel."""
 
     def __init__(self, atoms: np.ndarray, room: int):
-        self.atoms = atoms
-        self._kept = np.empty((room, atoms.shape[1]), np.int16)
+        super().__init__(atoms, room, np.int16)
         self._units = np.zeros(room)
 
     def keep(self, start: int, inputs: np.ndarray) -> None:
