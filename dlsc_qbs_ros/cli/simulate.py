@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import fields
 from pathlib import Path
 from typing import Callable, Sequence
 
@@ -14,6 +15,7 @@ from ..errors import ConfigError, RecordingError
 from ..io.bag import BagWriter
 from ..sim.encodings import ENCODINGS
 from ..sim.simulation import Picture, simulate_flight, SimulatedFlight
+from ..sim.variations import EACH, PLAIN, Variations
 
 TOPICS = {
     Picture: ('/camera/image_raw', 'sensor_msgs/msg/Image'),
@@ -36,17 +38,36 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--out', metavar='DIR', type=Path, required=True,
                         help='the recording to make')
     parser.add_argument('--seconds', metavar='T', type=float,
-                        help='duration (default: three laps and a bit)')
+                        help='duration (default: three laps and a bit, more for what follows)')
     parser.add_argument('--encoding', metavar='NAME', default='rgb8',
                         help=f'any of {", ".join(ENCODINGS)} (default: %(default)s)')
+    _add_variations(parser.add_argument_group('what happens on the way, any of it together'))
     return parser
+
+
+def _add_variations(group: argparse._ArgumentGroup) -> None:
+    def add(flag: str, metavar: str, variation: str, field: str, text: str):
+        usual = getattr(EACH[variation], field)
+        group.add_argument(flag, metavar=metavar, dest=field, type=float, nargs='?', const=usual,
+                           default=getattr(PLAIN, field), help=f'{text} ({usual:g} if not said)')
+
+    add('--second-altitude', 'M', 'second_altitude', 'second_altitude_m',
+        f'fly every other lap at M metres instead of {PLAIN.second_altitude_m:g}')
+    group.add_argument('--reversed-lap', action='store_true',
+                       help='fly the second lap the other way round')
+    add('--pause', 'S', 'pause', 'pause_s', 'hover for S seconds in mid-flight')
+    add('--dimmed', 'SHARE', 'dimmed', 'dimmed_to', 'dim the lights half-way to this share')
+    group.add_argument('--twin-aisle', action='store_true',
+                       help='make one aisle between the shelves look exactly like the other')
 
 
 def _simulate(args: argparse.Namespace) -> None:
     if args.encoding not in ENCODINGS:
         raise ConfigError(
             f'encoding {args.encoding!r}: expected one of {", ".join(ENCODINGS)}')
-    flight = simulate_flight(args.flight, args.seed, args.seconds)
+    variations = Variations(**{
+        field.name: getattr(args, field.name) for field in fields(Variations)})
+    flight = simulate_flight(args.flight, args.seed, args.seconds, variations)
     try:
         _record(flight, args.encoding, args.out)
     except OSError as error:

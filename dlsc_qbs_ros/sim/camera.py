@@ -67,7 +67,7 @@ class Camera:
         noise = self._rng.normal(0.0, NOISE_GREY, (NOISE_BANK, HEIGHT, WIDTH, 3))
         self._noise = np.rint(noise).astype(np.int16)
 
-    def render(self, pose: np.ndarray) -> np.ndarray:
+    def render(self, pose: np.ndarray, lamps: float = 1.0) -> np.ndarray:
         """
         Take the next picture.
 
@@ -75,6 +75,8 @@ class Camera:
         ----------
         pose : ndarray of shape (6,)
             x, y, z in metres; roll, pitch, yaw in radians (ENU, FLU: pitch up is negative).
+        lamps : float
+            The share of the hall's lamps that is on.
 
         Returns
         -------
@@ -86,7 +88,7 @@ class Camera:
         map_x, map_y, light = self._trace(x_m, y_m, z_m, yaw)
         level = cv2.remap(self._atlas, map_x, map_y, cv2.INTER_LINEAR)
         light *= self._vignette
-        light *= self._gain
+        light *= lamps * self._gain
         level = cv2.multiply(level, cv2.merge((light, light, light)), dtype=cv2.CV_8U)
         image = _tilt(level, roll, pitch)
         self._adapt(image)

@@ -3,7 +3,8 @@ How the drone flies, what its odometry makes of it and what the beacons see.
 
 The path is a closed loop flown again and again at about 1.1 m/s, the camera along the loop's
 tangent. Slow waves of periods that share no multiple with a lap make each lap differ: up to
-0.2 m to the side, 0.1 m in height, 2 degrees of roll and pitch, 1.5 degrees of yaw.
+0.2 m to the side, 0.1 m in height, 2 degrees of roll and pitch, 1.5 degrees of yaw. They go on at
+a stand, and another one, of 0.05 m, along the path.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from typing import Callable
 
 import numpy as np
 
+from .schedule import Schedule
+from .variations import PLAIN, Variations
+
 SPEED_M_S = 1.1
-HEIGHT_M = 1.4
 STEP_M = 0.02
 CORNER_M = 0.75
 
@@ -44,19 +47,24 @@ BEACON_SIGMA_RAD = 0.02
 class Trajectory:
     """The true motion of one flight, at any time."""
 
-    def __init__(self, flight: int, rng: np.random.Generator):
+    def __init__(self, flight: int, rng: np.random.Generator, variations: Variations = PLAIN):
         self._lap = smooth_loop(np.array(WAYPOINTS_M[flight]))
         self.lap_length_m = len(self._lap) * STEP_M
+        self.schedule = Schedule(self.lap_length_m / SPEED_M_S, variations)
         self._hurry_s = _waves(rng, 0.4, (23.0, 9.1))
         self._side_m = _waves(rng, 0.2, (83.0, 29.0))
         self._height_m = _waves(rng, 0.1, (31.0, 7.3))
         self._roll_rad = _waves(rng, 0.03, (5.3, 1.9))
         self._pitch_rad = _waves(rng, 0.03, (6.1, 2.3))
         self._yaw_rad = _waves(rng, 0.025, (4.3, 2.7))
+        self._sway_m = _waves(rng, 0.05, (7.9, 3.7))
 
     def laps(self, times_s: np.ndarray) -> np.ndarray:
-        """Return how many laps are flown, in laps and parts."""
-        return SPEED_M_S * (times_s + self._hurry_s(times_s)) / self.lap_length_m
+        """Return how many laps are flown, in laps and parts, less those the other way round."""
+        course_s = self.schedule.course_s(times_s)
+        hurry_s = self._hurry_s(self.schedule.flown_s(times_s))
+        sway_m = self.schedule.standing(times_s) * self._sway_m(times_s)
+        return (SPEED_M_S * (course_s + hurry_s) + sway_m) / self.lap_length_m
 
     def poses(self, times_s: np.ndarray) -> np.ndarray:
         """
@@ -80,9 +88,10 @@ class Trajectory:
         side_m = self._side_m(times_s)
         return np.stack((
             x_m - side_m * along_y, y_m + side_m * along_x,
-            HEIGHT_M + self._height_m(times_s),
+            self.schedule.altitude_m(times_s) + self._height_m(times_s),
             self._roll_rad(times_s), self._pitch_rad(times_s),
-            np.unwrap(np.arctan2(along_y, along_x)) + self._yaw_rad(times_s)), axis=1)
+            np.unwrap(np.arctan2(along_y, along_x)) + self._yaw_rad(times_s)
+            + self.schedule.turned_rad(times_s)), axis=1)
 
 
 def smooth_loop(corners_m: np.ndarray) -> np.ndarray:

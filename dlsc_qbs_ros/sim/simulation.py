@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import heapq
+from math import ceil
 from typing import Iterator
 
 import cv2
@@ -11,6 +12,8 @@ import numpy as np
 
 from .camera import Camera
 from .flight import beacons, drift, Trajectory, twists, WAYPOINTS_M
+from .schedule import lamps, Schedule
+from .variations import PLAIN, Variations
 from .world import make_world
 from ..core.geometry import wrap_angle
 from ..core.types import Frame, GroundTruthSample, OdometrySample, Pose2, RawOdometry
@@ -19,6 +22,7 @@ from ..errors import ConfigError
 EPOCH_NS = 1_700_000_000_000_000_000
 DEFAULT_SECONDS = {1: 150.0, 2: 160.0, 3: 250.0}
 SECONDS_RANGE = (1.0, 3600.0)
+FLIGHTS_IN_AISLES = (2, 3)
 
 ODOMETRY_PERIOD_NS = 20_000_000
 IMAGE_PERIOD_NS = 100_000_000
@@ -43,6 +47,8 @@ class SimulatedFlight:
     Attributes
     ----------
     flight, seed : int
+    variations : Variations
+        What happens besides laps.
     trajectory : Trajectory
         The truth.
     image_stamps_ns : ndarray of shape (n,), int64
@@ -55,6 +61,7 @@ class SimulatedFlight:
 
     flight: int
     seed: int
+    variations: Variations
     trajectory: Trajectory
     image_stamps_ns: np.ndarray
     odometry: tuple[RawOdometry, ...]
@@ -62,10 +69,13 @@ class SimulatedFlight:
 
     def pictures(self) -> Iterator[Picture]:
         """Render the flight in colour; every call gives the same pixels."""
-        camera = Camera(make_world(self.seed), [self.seed, self.flight, 3])
-        poses = self.trajectory.poses(_seconds(self.image_stamps_ns))
-        for stamp_ns, pose in zip(self.image_stamps_ns.tolist(), poses):
-            yield Picture(stamp_ns, camera.render(pose))
+        world = make_world(self.seed, self.variations.twin_aisle)
+        camera = Camera(world, [self.seed, self.flight, 3])
+        times_s = _seconds(self.image_stamps_ns)
+        poses = self.trajectory.poses(times_s)
+        shares = lamps(times_s, self.variations.dimmed_to).tolist()
+        for stamp_ns, pose, share in zip(self.image_stamps_ns.tolist(), poses, shares):
+            yield Picture(stamp_ns, camera.render(pose, share))
 
     def frames(self) -> Iterator[Frame]:
         """Render the flight in grey."""
@@ -77,7 +87,8 @@ class SimulatedFlight:
         return heapq.merge(images, self.odometry, self.ground_truth, key=_stamp_ns)
 
 
-def simulate_flight(flight: int, seed: int, seconds: float | None = None) -> SimulatedFlight:
+def simulate_flight(flight: int, seed: int, seconds: float | None = None,
+                    variations: Variations = PLAIN) -> SimulatedFlight:
     """
     Fly one of the paper's three flights through the warehouse of a seed.
 
@@ -88,7 +99,10 @@ def simulate_flight(flight: int, seed: int, seconds: float | None = None) -> Sim
     seed : int
         Not negative; the same seed gives the same bytes.
     seconds : float, optional
-        Duration; by default enough for three laps and a bit.
+        Duration; by default enough for three laps and a bit, for all stops, and for a fourth lap
+        where one of the three is unlike the others.
+    variations : Variations
+        What happens besides laps. All of it comes to pass: a duration too short is refused.
 
     Raises
     ------
@@ -100,15 +114,27 @@ def simulate_flight(flight: int, seed: int, seconds: float | None = None) -> Sim
         raise ConfigError(f'flight = {flight}: expected one of 1, 2, 3')
     if seed < 0:
         raise ConfigError(f'seed = {seed}: expected at least 0')
-    seconds = DEFAULT_SECONDS[flight] if seconds is None else seconds
-    if not SECONDS_RANGE[0] <= seconds <= SECONDS_RANGE[1]:
-        raise ConfigError(f'seconds = {seconds}: expected a value in '
-                          f'[{SECONDS_RANGE[0]:g}, {SECONDS_RANGE[1]:g}]')
-    trajectory = Trajectory(flight, np.random.default_rng([seed, flight, 0]))
+    if variations.twin_aisle and flight not in FLIGHTS_IN_AISLES:
+        raise ConfigError(f'flight = {flight}: expected one of 2, 3, which pass the twin aisle')
+    trajectory = Trajectory(flight, np.random.default_rng([seed, flight, 0]), variations)
+    seconds = _checked_seconds(seconds, flight, trajectory.schedule)
     return SimulatedFlight(
-        flight, seed, trajectory, _stamps(seconds, IMAGE_PERIOD_NS, IMAGE_PHASE_NS),
+        flight, seed, variations, trajectory, _stamps(seconds, IMAGE_PERIOD_NS, IMAGE_PHASE_NS),
         _odometry(trajectory, seconds, np.random.default_rng([seed, flight, 1])),
         _ground_truth(trajectory, seconds, np.random.default_rng([seed, flight, 2])))
+
+
+def _checked_seconds(seconds: float | None, flight: int, schedule: Schedule) -> float:
+    """Return the duration, the default one where none is given."""
+    if seconds is None:
+        seconds = float(ceil(DEFAULT_SECONDS[flight] + schedule.extra_s))
+    low, high = SECONDS_RANGE
+    if not low <= seconds <= high:
+        raise ConfigError(f'seconds = {seconds}: expected a value in [{low:g}, {high:g}]')
+    if seconds < schedule.complete_s:
+        raise ConfigError(f'seconds = {seconds}: expected at least '
+                          f'{ceil(schedule.complete_s)} for all that was asked to happen')
+    return seconds
 
 
 def _odometry(trajectory, seconds, rng) -> tuple[RawOdometry, ...]:

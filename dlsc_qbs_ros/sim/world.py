@@ -35,6 +35,11 @@ SHELF_HEIGHT_M = 3.5
 AISLE_LIGHT = 0.5
 END_LIGHT = 1.0
 
+# Places in the strips of the walls (clockwise from the south-east corner) and of the shelves
+# (each anticlockwise from its south-west corner: south, east, north, west).
+WEST, EAST = 1, 3
+SHELF_1_NORTH, SHELF_2_SOUTH, SHELF_2_NORTH, SHELF_3_SOUTH = 2, 4, 6, 8
+
 
 @dataclass(frozen=True)
 class Layer:
@@ -82,21 +87,28 @@ def light_at(x_m: np.ndarray) -> np.ndarray:
     return AISLE_LIGHT + (END_LIGHT - AISLE_LIGHT) * np.clip(share, 0.0, 1.0)
 
 
-def make_world(seed: int) -> World:
-    """Return the warehouse of a seed; all flights of that seed share it."""
+def make_world(seed: int, twin_aisle: bool = False) -> World:
+    """
+    Return the warehouse of a seed; all flights of that seed share it.
+
+    With `twin_aisle`, aisle 2 is aisle 1 turned by half a turn about the middle of the hall, and
+    the west wall is the east wall. Shelf ends, corridors and the other walls stay as they are.
+    """
     rng = np.random.default_rng([seed, 0])
-    return World((_walls(rng), _shelves(rng)))
+    return World((_walls(rng, twin_aisle), _shelves(rng, twin_aisle)))
 
 
-def _walls(rng) -> Layer:
+def _walls(rng, twin_aisle) -> Layer:
     width, depth = HALL_M
     starts, ends = _outline(width, 0.0, 0.0, depth)  # clockwise: seen from inside
     strips = [textures.paint_wall(rng, length, WALL_HEIGHT_M)
               for length in (width, depth, width, depth)]
+    if twin_aisle:
+        strips[WEST] = strips[EAST]
     return _lit(Layer(starts, ends, WALL_HEIGHT_M, np.concatenate(strips, axis=1)))
 
 
-def _shelves(rng) -> Layer:
+def _shelves(rng, twin_aisle) -> Layer:
     template = textures.bay_template(rng)
     west, east = SHELF_X_M
     outlines, strips = [], []
@@ -107,6 +119,8 @@ def _shelves(rng) -> Layer:
                 rng, template, east - west, SHELF_HEIGHT_M, n_distinct=1))
             strips.append(textures.paint_shelf_end(
                 rng, north - south, SHELF_HEIGHT_M, 2 * number + face + 1))
+    if twin_aisle:
+        strips[SHELF_3_SOUTH], strips[SHELF_2_NORTH] = strips[SHELF_1_NORTH], strips[SHELF_2_SOUTH]
     starts, ends = (np.concatenate(points) for points in zip(*outlines))
     return _lit(Layer(starts, ends, SHELF_HEIGHT_M, np.concatenate(strips, axis=1)))
 
