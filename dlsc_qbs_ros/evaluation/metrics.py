@@ -1,4 +1,4 @@
-"""The paper's two figures, and both of them for one run."""
+"""The paper's two figures, the absolute trajectory error, and all of them for one run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Sequence
 
 import numpy as np
 
-from .alignment import align, Alignment
+from .alignment import align, align_least_squares, Alignment
 from .association import associate
 from ..core.types import GroundTruthSample
 
@@ -35,6 +35,17 @@ def mae_m(estimate_m: np.ndarray, truth_m: np.ndarray) -> float:
     return float(np.concatenate(nearest).mean())
 
 
+def ate_rmse_m(estimate_m: np.ndarray, truth_m: np.ndarray) -> float:
+    """
+    Return the absolute trajectory error: the root of the mean squared distance, in metres.
+
+    Both are ndarrays of shape (n, 2), n > 0; row k of both is frame k. They may be in different
+    frames: the ground truth is moved by `align_least_squares` first, as the field does.
+    """
+    moved_m = align_least_squares(truth_m, estimate_m).apply(truth_m)
+    return float(np.sqrt(np.square(estimate_m - moved_m).sum(axis=1).mean()))
+
+
 def _distances(a, b):
     """Return the L1 distances of points (n, 2) and (m, 2) as an ndarray of shape (n, m)."""
     return np.abs(a[:, None, 0] - b[None, :, 0]) + np.abs(a[:, None, 1] - b[None, :, 1])
@@ -47,13 +58,16 @@ class Metrics:
 
     `frames` were compared, `frames_left_out` had no ground truth. `truth_m` is the ground truth
     in the SLAM frame at each code, shape (n, 2), NaN where a frame was left out; it is also the
-    set of points that MAE_M searches.
+    set of points that MAE_M searches. The absolute trajectory error is that of the poses that
+    MAE_L compares, under an alignment of its own.
     """
 
     mae_l: float
     mae_m: float
     odometry_mae_l: float
     odometry_mae_m: float
+    ate_rmse_m: float
+    odometry_ate_rmse_m: float
     frames: int
     frames_left_out: int
     alignment: Alignment
@@ -67,7 +81,8 @@ def evaluate_run(result, ground_truth: Sequence[GroundTruthSample]) -> Metrics |
     Parameters
     ----------
     result : pipeline.runner.RunResult
-        Its `stamps_ns`, `poses` (for MAE_L), `final_poses` (for MAE_M) and `odometry` are read.
+        Its `stamps_ns`, `poses` (for MAE_L and ATE), `final_poses` (for MAE_M) and `odometry` are
+        read.
     ground_truth : sequence of GroundTruthSample
         In any order; may be empty.
 
@@ -90,4 +105,5 @@ def evaluate_run(result, ground_truth: Sequence[GroundTruthSample]) -> Metrics |
     return Metrics(
         mae_l(poses, moved), mae_m(final, moved),
         mae_l(odometry, moved_to_odometry), mae_m(odometry, moved_to_odometry),
+        ate_rmse_m(poses, truth[used]), ate_rmse_m(odometry, truth[used]),
         frames, len(used) - frames, alignment, alignment.apply(truth))
