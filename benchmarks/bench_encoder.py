@@ -21,7 +21,7 @@ from typing import Any, Callable, Mapping
 import cv2
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core import kernel
-from dlsc_qbs_ros.core.local_view import SequenceScore, ViewCells
+from dlsc_qbs_ros.core.local_view import Cosine, SequenceScore, ViewCells
 from dlsc_qbs_ros.core.preprocessing import make_view, view_to_inputs
 from dlsc_qbs_ros.core.types import Frame
 from dlsc_qbs_ros.pipeline.code_book import CodeBook, InlineExecutor
@@ -137,7 +137,7 @@ def growth(frames: list[Frame], config: Config) -> list[dict]:
 
 def stored_views(frames: list[Frame], floor_s: float) -> list[dict]:
     """Return the lines of the code book: one match of a code, one whole re-encoding."""
-    config = Config()
+    config = with_view(43, 32)
     encoded = list(map(Encoder(config).process, frames))
     dictionary = [one.dictionary for one in encoded if one.dictionary][-1]
     table = []
@@ -155,11 +155,11 @@ def stored_views(frames: list[Frame], floor_s: float) -> list[dict]:
 
 def matches(codes: np.ndarray, config: Config) -> list[Sample]:
     """Return the seconds of comparing one code, in its sequence, with all stored ones."""
-    cells = ViewCells(codes.shape[1])
+    cells = ViewCells(Cosine())
     cells.replace(codes)
     length = config.ratslam.sequence_length
     score = SequenceScore(length)
-    samples = [(timed(lambda code: score.update(cells.similarities(code)), code)[0], '')
+    samples = [(timed(lambda code: score.update(cells.likeness(code)), code)[0], '')
                for code in codes[:100]]
     return samples[length:]  # before, there was no sequence to compare
 

@@ -47,12 +47,15 @@ def main() -> None:
     print(f'{"part":34s} {"ms/frame":>9s} {"products":>9s}')
     print(f'{"simulate: render 346x260":34s} {rendering_ms:9.2f}')
     for width, height in VIEWS:
-        config = Config().override({'view.width': width, 'view.height': height})
+        config = Config().override({
+            'encoder.input': 'image', 'view.width': width, 'view.height': height})
         product_ms = floor_ms(width, height, config.encoder.n_atoms)
         encoder_ms = timed(Encoder(config).process, frames)
         print(f'{f"encode: view {width}x{height}":34s} {encoder_ms:9.2f} '
               f'{encoder_ms / product_ms:9.1f}')
     config = Config()
+    encoder_ms = timed(Encoder(config).process, frames)
+    print(f'{"encode: patches of a view 43x32":34s} {encoder_ms:9.2f}')
     encoded = encode((event for event in flight.events(iter(frames))
                       if not isinstance(event, GroundTruthSample)), config)
     result = map_codes(encoded, config)

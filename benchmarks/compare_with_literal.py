@@ -65,8 +65,9 @@ def main() -> None:
         COLUMNS, (8, 6, 9, 10, 9, 9, 6, 9, 8, 9))), flush=True)
     for name in args.set or SETS:
         config = Config().override({
-            'encoder.mode': 'paper', 'encoder.protection': False, 'view.width': args.width,
-            'view.height': args.height, 'view.standardise': not args.pixels, **SETS[name]})
+            'encoder.input': 'image', 'encoder.mode': 'paper', 'encoder.protection': False,
+            'view.width': args.width, 'view.height': args.height,
+            'view.standardise': not args.pixels, **SETS[name]})
         print(row(name, config, frames_of(args.flight, args.frames), args.stride), flush=True)
 
 

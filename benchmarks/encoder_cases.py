@@ -29,14 +29,16 @@ Task = Callable[[Frame, np.ndarray], Any]
 
 
 def with_view(width: int, height: int, **encoder: int) -> Config:
-    """Return the default configuration with another size of view, or other encoder values."""
-    return Config().override({'view.width': width, 'view.height': height, **{
-        f'encoder.{name}': value for name, value in encoder.items()}})
+    """Return the configuration for whole views of this size, with other encoder values."""
+    return Config().override({
+        'encoder.input': 'image', 'view.width': width, 'view.height': height,
+        **{f'encoder.{name}': value for name, value in encoder.items()}})
 
 
 def profile(name: str) -> Config:
-    """Return the configuration of a profile of the package."""
-    return Config().override(load_profile(ROOT / 'config' / f'{name}.yaml'))
+    """Return the configuration of a profile of the package, for whole views."""
+    return Config().override({
+        **load_profile(ROOT / 'config' / f'{name}.yaml'), 'encoder.input': 'image'})
 
 
 def variants() -> dict[str, Callable]:
@@ -104,7 +106,7 @@ def peers(config: Config) -> dict[str, Task]:
 
 def all_tasks(config: Config) -> dict[str, Task]:
     """Return the floor, our encoder and its profiles, the literal form and the peers."""
-    profiles = {'43x32': Config(), '87x65': with_view(87, 65),
+    profiles = {'43x32': with_view(43, 32), '87x65': with_view(87, 65), 'patches': Config(),
                 'small_board': profile('small_board'), 'paper': profile('paper')}
     tasks = {'floor': floor(config)}
     for name, variant in variants().items():

@@ -92,10 +92,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--frames', type=int, default=1_000_000)
     parser.add_argument('--config', type=Path, default=PROFILE, help='a parameter file')
+    parser.add_argument('--input', choices=('image', 'patches'), default='image')
     args = parser.parse_args()
     if args.frames < N_REPORTS:
         parser.error(f'--frames {args.frames}: expected at least {N_REPORTS}')
-    failures = soak(Config().override(load_profile(args.config)), args.frames)
+    config = Config().override({**load_profile(args.config), 'encoder.input': args.input})
+    failures = soak(config, args.frames)
     print('; '.join(failures) or 'flat memory, finite state, G is that of Phi')
     return 1 if failures else 0
 

@@ -92,6 +92,9 @@ class EncoderConfig(Section):
 
     name = 'encoder'
 
+    input: str = parameter(
+        'patches', 'what is coded: the whole view as one vector, as in the paper, or all its '
+        'small patches, pooled', choices=('image', 'patches'))
     mode: str = parameter(
         'epochs', 'epochs: converged codes under a dictionary held for an epoch; '
         'paper: the codes of Algorithm 1 as they come', choices=('epochs', 'paper'))
@@ -117,6 +120,21 @@ class EncoderConfig(Section):
         super().__post_init__()
         if not self.protection and self.mode != 'paper':
             raise ConfigError(f'encoder.protection = False: expected True in mode {self.mode!r}')
+
+
+@dataclass(frozen=True)
+class PatchesConfig(Section):
+    """What is different for patches: atoms of length 1, codes from zero, step 1 / lambda_max."""
+
+    name = 'patches'
+
+    size: int = parameter(5, 'edge of a patch', unit='px', bounds=(2, 32))
+    n_learned: int = parameter(
+        128, 'random patches of a frame that are learned from', bounds=(1, 100000))
+    eta_d: float = parameter(5.0, 'learning rate, in place of encoder.eta_d', bounds=(0.0, 100.0))
+    cells_x: int = parameter(5, 'cells along the width that codes are pooled into',
+                             bounds=(1, 64))
+    cells_y: int = parameter(4, 'cells along the height', bounds=(1, 64))
 
 
 @dataclass(frozen=True)
@@ -160,10 +178,14 @@ class RatSlamConfig(Section):
         0.25, 'distance after which a view is compared or stored', unit='m', bounds=(0.001, 1e3))
     keyframe_angle_rad: float = parameter(
         0.2, 'turn after which a view is compared or stored', unit='rad', bounds=(0.001, 6.3))
+    backend: str = parameter(
+        'sequences', 'sequences: runs of views within the drift of the odometry make closures, '
+        'the map is solved; published: RatSLAM as published, single views and its relaxation',
+        choices=('sequences', 'published'))
     threshold: float = parameter(
-        0.92, 'similarity mu from which a run of views is an old place', bounds=(-1.0, 1.0))
+        0.8, 'similarity mu from which a run of views is an old place', bounds=(-1.0, 1.0))
     tracking_threshold: float = parameter(
-        0.75, 'the same while the old place is where odometry expects it', bounds=(-1.0, 1.0))
+        0.6, 'the same while the old place is where odometry expects it', bounds=(-1.0, 1.0))
     tracking_distance_m: float = parameter(
         1.0, 'largest correction that counts as tracking', unit='m', bounds=(0.0, 1e3))
     sequence_length: int = parameter(
@@ -173,7 +195,7 @@ class RatSlamConfig(Section):
     min_path_m: float = parameter(
         3.0, 'path flown before an experience can be met again', unit='m', bounds=(0.0, 1e5))
     gate_sigmas: float = parameter(
-        3.0, 'deviations of the odometry within which an old place must lie', bounds=(0.1, 100.0))
+        2.0, 'deviations of the odometry within which an old place must lie', bounds=(0.1, 100.0))
     match_position_sigma_m: float = parameter(
         0.3, 'deviation of the position at which a view is met again', unit='m',
         bounds=(0.001, 100.0))
@@ -221,6 +243,7 @@ class Config:
     image: ImageConfig = ImageConfig()
     view: ViewConfig = ViewConfig()
     encoder: EncoderConfig = EncoderConfig()
+    patches: PatchesConfig = PatchesConfig()
     odometry: OdometryConfig = OdometryConfig()
     ratslam: RatSlamConfig = RatSlamConfig()
     pose_cells: PoseCellsConfig = PoseCellsConfig()

@@ -15,8 +15,8 @@ LAP_S = 2 * pi * RADIUS_M / SPEED_M_S
 
 # Small enough for a flight in a blink; a lap is long enough to be met again.
 CONFIG = Config().override({
-    'view.width': 16, 'view.height': 12, 'encoder.n_atoms': 16, 'pose_cells.size_xy': 11,
-    'ratslam.sequence_length': 4, 'ratslam.min_age_s': 5.0})
+    'encoder.input': 'image', 'encoder.n_atoms': 16, 'view.width': 16, 'view.height': 12,
+    'pose_cells.size_xy': 11, 'ratslam.sequence_length': 4, 'ratslam.min_age_s': 5.0})
 
 
 def pose_at(time_s, yaw_bias_rad_s=0.0):

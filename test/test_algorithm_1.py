@@ -53,7 +53,8 @@ def code_deviation(n, config, **changes):
                      [step.code for step in steps])
 
 
-PAPER = Config().override({'encoder.mode': 'paper'})
+IMAGE = Config().override({'encoder.input': 'image'})
+PAPER = IMAGE.override({'encoder.mode': 'paper'})
 VARIANTS = [
     pytest.param(PAPER, 100, id='the SLAM parameters of the paper'),
     pytest.param(PAPER.override({'encoder.n_learning': 3}), 100, id='three learning iterations'),
@@ -81,7 +82,7 @@ def test_the_gate_opens_and_closes_on_this_flight():
 
 
 def test_dictionaries_that_epochs_publish_are_those_of_the_literal_algorithm():
-    config = Config().override({'encoder.epoch_change': 1e-3})
+    config = IMAGE.override({'encoder.epoch_change': 1e-3})
     steps = literal(inputs_of(100, config), config)
     published = [(result.dictionary.atoms, step.dictionary.T)
                  for result, step in zip(encoded(100, config), steps) if result.dictionary]

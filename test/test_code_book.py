@@ -5,16 +5,19 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import Config
+from dlsc_qbs_ros.core.inputs import ImageInputs, make_inputs
 from dlsc_qbs_ros.core.preprocessing import view_to_inputs
 from dlsc_qbs_ros.core.types import Dictionary
 from dlsc_qbs_ros.pipeline.code_book import CodeBook, InlineExecutor
-from dlsc_qbs_ros.pipeline.coder import BATCH, Coder
+from dlsc_qbs_ros.pipeline.coder import Coder
 
-CONFIG = Config().override({'view.width': 16, 'view.height': 12, 'encoder.n_atoms': 20})
+BATCH = ImageInputs.batch
+CONFIG = Config().override({
+    'encoder.input': 'image', 'view.width': 16, 'view.height': 12, 'encoder.n_atoms': 20})
 
 
 def dictionary(stamp_ns=1, seed=0, config=CONFIG):
-    n = config.view.width * config.view.height
+    n = make_inputs(config).n_inputs
     atoms = np.random.default_rng([seed, 1]).normal(0.0, 0.1, (config.encoder.n_atoms, n))
     return Dictionary(stamp_ns, atoms.astype(np.float32))
 
@@ -26,10 +29,13 @@ def views(n, seed=0, config=CONFIG):
 
 # Codes do not depend on company
 
+@pytest.mark.parametrize('of', ['image', 'patches'])
 @pytest.mark.parametrize('n_atoms, width, height', [(20, 16, 12), (64, 43, 32), (37, 21, 17)])
-def test_the_code_of_a_view_is_the_same_to_the_last_bit_in_any_company(n_atoms, width, height):
+def test_the_code_of_a_view_is_the_same_to_the_last_bit_in_any_company(
+        of, n_atoms, width, height):
     config = CONFIG.override({
-        'encoder.n_atoms': n_atoms, 'view.width': width, 'view.height': height})
+        'encoder.input': of, 'encoder.n_atoms': n_atoms,
+        'view.width': width, 'view.height': height})
     coder = Coder(dictionary(config=config), config)
     stored = views(101, config=config)
     codes = coder.encode_views(stored)

@@ -10,16 +10,16 @@ import pytest
 from dlsc_qbs_ros.config import Config, EncoderConfig
 from dlsc_qbs_ros.core import kernel, snapshot
 from dlsc_qbs_ros.core.dictionary import DictionaryLearner, HEADROOM
-from dlsc_qbs_ros.core.preprocessing import N_PAPER
+from dlsc_qbs_ros.core.preprocessing import N_PAPER, PixelInputs
 from dlsc_qbs_ros.errors import ConfigError
 from dlsc_qbs_ros.pipeline.encoder import Encoder
 
 TOLERANCE = 3e-6
-SHORT = 3e-5  # what an entry of an atom is off by where kept inputs have 16 bits
 MANY = 30_000  # inputs: a snapshot of their atoms is made over three frames
 LENGTH = 0.25 * np.sqrt(N_PAPER)  # of an input, at any size
 NEVER = 10.0  # an epoch_change that no learner reaches
 SMALL = EncoderConfig(n_atoms=8, eta_c=2e-3)
+IMAGE = Config().override({'encoder.input': 'image'})
 
 
 def stream(n_frames, n_inputs, n=1, seed=0):
@@ -33,6 +33,13 @@ def stream(n_frames, n_inputs, n=1, seed=0):
     return inputs.astype(np.float32)
 
 
+def pixel_stream(n_frames, n_inputs, n=1):
+    """Yield frames of n input vectors as a camera gives them."""
+    waves = stream(n_frames, n_inputs, n) / (LENGTH / np.sqrt(n_inputs))
+    views = np.clip(np.rint(128 + 50 * waves), 0, 255).astype(np.uint8)
+    return (PixelInputs(frame[:, None], True) for frame in views)
+
+
 class Literal:
     """Algorithm 1 on a batch, atoms as rows, float64; learning follows the mean gradient."""
 
@@ -42,6 +49,7 @@ class Literal:
 
     def step(self, batch):
         """Infer and learn; return the mean reprojection error."""
+        batch = np.asarray(batch)
         config, phi = self._config, self.atoms
         codes = np.zeros((len(batch), len(phi))) if self.codes is None else self.codes
         for _ in range(config.n_coding):
@@ -73,7 +81,7 @@ def assert_is_algorithm_1(learner, batches, config, literal=None):
         assert step(learner, batch) == pytest.approx(
             literal.step(batch), abs=TOLERANCE * LENGTH ** 2)
         assert deviation(learner.codes_, literal.codes) < TOLERANCE
-        assert deviation(learner.atoms_, literal.atoms) < SHORT
+        assert deviation(learner.atoms_, literal.atoms) < TOLERANCE
         assert deviation(learner.gram_, literal.atoms @ literal.atoms.T) < TOLERANCE
         if learner.snapshot_ is not snapshots[-1]:
             snapshots.append(learner.snapshot_)
@@ -98,7 +106,7 @@ def test_live_atoms_are_those_of_algorithm_1_through_many_snapshots(
         n_inputs, n_atoms, n_frames, n_learning):
     config = EncoderConfig(n_atoms=n_atoms, n_learning=n_learning, eta_c=2e-3, epoch_change=0.1)
     snapshots = assert_is_algorithm_1(
-        DictionaryLearner(n_inputs, config), stream(n_frames, n_inputs), config)
+        DictionaryLearner(n_inputs, config), pixel_stream(n_frames, n_inputs), config)
     assert len(snapshots) > 4
 
 
@@ -256,13 +264,13 @@ def test_adopting_a_snapshot_moves_nothing():
 @pytest.mark.parametrize('n_inputs', [300, MANY])
 def test_the_products_for_published_codes_are_those_with_the_snapshot(n_inputs):
     learner = DictionaryLearner(n_inputs, SMALL)
-    for batch in stream(40, n_inputs, 2):
-        learner.infer(batch)
-        held = learner.snapshot_.astype(float)
+    for inputs in pixel_stream(40, n_inputs, 2):
+        learner.infer(inputs)
+        batch, held = np.asarray(inputs), learner.snapshot_.astype(float)
         lengths = np.linalg.norm(batch, axis=1)[:, None] * np.linalg.norm(held, axis=1)
         assert (np.abs(learner.snapshot_products_ - batch @ held.T) < TOLERANCE * lengths).all()
         assert deviation(learner.snapshot_gram_, held @ held.T) < TOLERANCE
-        learner.learn(batch)
+        learner.learn(inputs)
 
 
 def test_a_snapshot_is_never_written_to():
@@ -379,12 +387,17 @@ def held_by(learner):
         kernel.LIBRARY is None, reason='the compiled kernel was not built'))])
 def test_at_the_size_of_the_paper_the_dictionary_is_held_three_times_at_most(
         has_kernel, monkeypatch):
-    """As the snapshot, as memory for the next, and as much again for kept inputs."""
+    """
+    Be it as the snapshot, the next one and as much again for kept inputs, all float32.
+
+    With the kernel, the snapshot that goes out is float32, the one that is multiplied and the
+    next take 3/4 of it each, kept inputs 1/4.
+    """
     if not has_kernel:
         monkeypatch.setattr(kernel, 'LIBRARY', None)
     config = EncoderConfig(n_atoms=24, eta_c=2e-3, epoch_change=0.1)
-    one, batches = 24 * N_PAPER * 4, stream(60, N_PAPER)
-    n_taken, held = 0, None
+    one, batches = 24 * N_PAPER * 4, pixel_stream(60, N_PAPER)
+    n_taken, gram = 0, None
     tracemalloc.start()
     try:
         learner = DictionaryLearner(N_PAPER, config)
@@ -392,7 +405,7 @@ def test_at_the_size_of_the_paper_the_dictionary_is_held_three_times_at_most(
         for batch in batches:
             step(learner, batch)
             assert held_by(learner) <= 3 * one
-            n_taken, held = n_taken + (id(learner.snapshot_) != held), id(learner.snapshot_)
+            n_taken, gram = n_taken + (learner.snapshot_gram_ is not gram), learner.snapshot_gram_
         assert tracemalloc.get_traced_memory()[1] < 3.5 * one
     finally:
         tracemalloc.stop()
@@ -415,20 +428,20 @@ def test_nothing_grows_from_frame_to_frame():
         tracemalloc.stop()
     one = learner.snapshot_.nbytes
     assert abs(after - before) < one
-    assert peak - before < 4 * one
+    assert peak - before < 5 * one
 
 
 # The encoder refuses what cannot work
 
 def test_the_encoder_refuses_a_coding_rate_at_which_coding_diverges_from_the_first():
-    config = Config().override({'encoder.eta_c': 0.1, 'view.width': 16, 'view.height': 12})
+    config = IMAGE.override({'encoder.eta_c': 0.1, 'view.width': 16, 'view.height': 12})
     with pytest.raises(ConfigError, match=(
             r'^encoder\.eta_c = 0\.1: expected less than 2 / lambda_max = 0\.\d+ of the first')):
         Encoder(config)
 
 
 def test_the_encoder_takes_any_coding_rate_without_protection():
-    encoder = Encoder(Config().override({
+    encoder = Encoder(IMAGE.override({
         'encoder.eta_c': 0.2, 'encoder.mode': 'paper', 'encoder.protection': False}))
     assert encoder.lambda_max > encoder.lambda_max_limit
 

@@ -200,7 +200,7 @@ def test_no_learner_runs_away_and_every_code_is_used(name):
 
 # Hostile parameters
 
-SMALL = {'view.width': 16, 'view.height': 12}
+SMALL = {'encoder.input': 'image', 'view.width': 16, 'view.height': 12}
 BOUNDS = {  # within those of the configuration
     'encoder.eta_c': (1e-4, 10.0), 'encoder.eta_d': (1e-4, 10.0),
     'encoder.lambda_1': (1e-3, 100.0), 'encoder.sigma_w': (1e-5, 10.0)}

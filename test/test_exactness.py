@@ -19,7 +19,8 @@ from dlsc_qbs_ros.sim.simulation import simulate_flight
 TOLERANCE = 1e-4
 SURPRISE_TOLERANCE = 1e-5
 
-PAPER = Config().override({'encoder.mode': 'paper', 'encoder.protection': False})
+PAPER = Config().override({
+    'encoder.input': 'image', 'encoder.mode': 'paper', 'encoder.protection': False})
 PIXELS = {'view.standardise': False}
 
 

@@ -6,9 +6,9 @@ import pytest
 from dlsc_qbs_ros.config import EncoderConfig
 from dlsc_qbs_ros.core import kernel
 from dlsc_qbs_ros.core.dictionary import DictionaryLearner
-from dlsc_qbs_ros.core.preprocessing import view_to_inputs
+from dlsc_qbs_ros.core.preprocessing import PixelInputs, view_to_inputs
 from dlsc_qbs_ros.core.snapshot import subtract_product
-from dlsc_qbs_ros.core.sparse_coding import Lasso, proximal_steps
+from dlsc_qbs_ros.core.sparse_coding import infer, Lasso, proximal_steps, sparse_codes
 
 LIBRARY = kernel.LIBRARY
 needs_kernel = pytest.mark.skipif(
@@ -61,32 +61,68 @@ def problem(n, m, n_inputs, seed=0):
     return rng.normal(size=(n, n_inputs)) @ atoms.T, atoms @ atoms.T
 
 
+def inferred(n, m, n_rows, n_steps, lambda_1):
+    """Return b, codes, gradients and sum for atoms that are a mix of rows, the first of more."""
+    rng = np.random.default_rng(1)
+    rows, mix = rng.normal(size=(n_rows, 100)), rng.normal(size=(m, n_rows + 9))
+    atoms = mix[:, :n_rows] @ rows
+    codes, products = rng.normal(size=(n, m)), rng.normal(size=(n, 100)) @ rows.T
+    return infer(products, mix[:, :n_rows], codes, atoms @ atoms.T, 0.5 / np.linalg.norm(
+        atoms, 2) ** 2, lambda_1, n_steps)
+
+
 @needs_kernel
 @pytest.mark.parametrize('n, m', [(1, 1), (1, 7), (5, 16), (2, 64)])
+@pytest.mark.parametrize('n_rows', [1, 50])
 @pytest.mark.parametrize('n_steps', [0, 1, 10])
 @pytest.mark.parametrize('lambda_1', [0.0, 0.2, 5.0])
-def test_coding_iterations_are_the_same(n, m, n_steps, lambda_1):
-    b, gram = problem(n, m, 100)
-    codes = np.random.default_rng(1).normal(size=b.shape)
-    assert_same(lambda: proximal_steps(codes, b, gram, 1e-3, lambda_1, n_steps), 1e-12)
+def test_codes_are_inferred_alike(n, m, n_rows, n_steps, lambda_1):
+    for i in range(3):
+        assert_same(lambda: inferred(n, m, n_rows, n_steps, lambda_1)[i], 1e-12)
+    compiled, plain = with_and_without(lambda: inferred(n, m, n_rows, n_steps, lambda_1)[3])
+    assert compiled == pytest.approx(plain, rel=1e-10)
 
 
 @needs_kernel
-def test_coding_iterations_leave_the_codes_they_start_from_alone():
+@pytest.mark.parametrize('n, m', [(1, 1), (1, 7), (5, 16), (200, 64)])
+@pytest.mark.parametrize('n_steps', [1, 2, 10])
+@pytest.mark.parametrize('lambda_1', [0.0, 3.0, 30.0, 1e9])
+def test_sparse_codes_are_the_same(n, m, n_steps, lambda_1):
+    b, gram = problem(n, m, 100)
+    eta_c = 1.0 / np.linalg.eigvalsh(gram)[-1]
+    assert_same(lambda: sparse_codes(b, gram, eta_c, lambda_1, n_steps), 1e-5)
+    with kernel.disabled():
+        expected = proximal_steps(np.zeros_like(b), b, gram, eta_c, lambda_1, n_steps)
+    np.testing.assert_allclose(sparse_codes(b, gram, eta_c, lambda_1, n_steps), expected,
+                               atol=1e-5 * np.abs(expected).max() + 1e-300)
+
+
+@needs_kernel
+@pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf])
+def test_sparse_codes_hide_nothing_that_is_not_finite(bad):
+    b, gram = problem(3, 8, 100)
+    b[1, 3] = bad
+    with np.errstate(all='ignore'):
+        for codes in with_and_without(lambda: sparse_codes(b, gram, 1e-3, 0.2, 10)):
+            assert np.isfinite(codes).all(axis=1).tolist() == [True, False, True]
+
+
+@needs_kernel
+def test_inferring_leaves_the_codes_it_starts_from_alone():
     b, gram = problem(2, 8, 100)
     codes = np.ones_like(b)
-    proximal_steps(codes, b, gram, 1e-3, 0.2, 10)
+    infer(b, np.eye(8), codes, gram, 1e-3, 0.2, 10)
     np.testing.assert_array_equal(codes, np.ones_like(b))
 
 
 @needs_kernel
 @pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf])
-def test_coding_iterations_hide_nothing_that_is_not_finite(bad):
+def test_inferring_hides_nothing_that_is_not_finite(bad):
     b, gram = problem(1, 8, 100)
     b[0, 3] = bad
     with np.errstate(all='ignore'):
         for codes in with_and_without(
-                lambda: proximal_steps(np.zeros_like(b), b, gram, 1e-3, 0.2, 10)):
+                lambda: infer(b, np.eye(8), np.zeros_like(b), gram, 1e-3, 0.2, 10)[1]):
             assert not np.isfinite(codes).all()
 
 
@@ -113,22 +149,22 @@ def test_subtracting_a_product_of_few_rows_is_the_same(n, m, k, width):
 
 
 @needs_kernel
-@pytest.mark.parametrize('n_inputs, tolerance', [(300, 1e-6), (20_000, 1e-4)])
-def test_a_learner_is_the_same(n_inputs, tolerance):
-    """Up to what 16 bits take from kept inputs, where these are long."""
+@pytest.mark.parametrize('n_inputs', [300, 20_000])
+def test_a_learner_is_the_same(n_inputs):
     config = EncoderConfig(n_atoms=8, eta_c=2e-3, epoch_change=0.05)
     waves = np.cos(np.outer(np.arange(1, 9), np.linspace(0.0, 6.0, n_inputs)))
-    inputs = np.random.default_rng(0).normal(size=(60, 1, 8)) @ waves
-    inputs *= 75.0 / np.linalg.norm(inputs, axis=2, keepdims=True)
+    views = np.random.default_rng(0).normal(size=(60, 8)) @ waves
+    views = np.clip(128 + 20 * views, 0, 255).astype(np.uint8)
 
     def atoms():
         learner = DictionaryLearner(n_inputs, config)
-        for batch in inputs.astype(np.float32):
-            learner.infer(batch)
-            learner.learn(batch)
+        for view in views:
+            inputs = PixelInputs(view[None, None], True)
+            learner.infer(inputs)
+            learner.learn(inputs)
         assert learner.is_stable
         return np.concatenate([learner.atoms_, learner.snapshot_], axis=1)
-    assert_same(atoms, tolerance)
+    assert_same(atoms, 3e-6)
 
 
 # However arrays lie in memory
@@ -149,23 +185,23 @@ def test_views_may_lie_in_memory_as_they_like():
 def test_products_may_lie_in_memory_as_they_like():
     b, gram = problem(3, 8, 100)
     for same in layouts(b):
-        for function in (Lasso(gram, 0.2).solve,
+        for function in (Lasso(gram, 0.2).solve, lambda b: sparse_codes(b, gram, 1e-3, 0.2, 5),
                          lambda b: proximal_steps(np.zeros_like(b), b, gram, 1e-3, 0.2, 10)):
             np.testing.assert_array_equal(function(same), function(b))
 
 
 @pytest.mark.parametrize('n_inputs', [300, 20_000])
 def test_inputs_may_lie_in_memory_as_they_like(n_inputs):
-    inputs = np.random.default_rng(0).normal(size=(3, n_inputs)).astype(np.float32)
+    views = np.random.default_rng(0).integers(0, 256, (3, 10, n_inputs // 10), np.uint8)
 
-    def atoms(inputs):
+    def atoms(views):
         learner = DictionaryLearner(n_inputs, EncoderConfig(n_atoms=8))
         for _ in range(3):
-            learner.infer(inputs)
-            learner.learn(inputs)
+            learner.infer(PixelInputs(views, True))
+            learner.learn(PixelInputs(views, True))
         return learner.atoms_
-    for same in layouts(inputs):
-        np.testing.assert_allclose(atoms(same), atoms(inputs), atol=1e-5)
+    for same in layouts(views):
+        np.testing.assert_array_equal(atoms(same), atoms(views))
 
 
 # With it or without

@@ -8,18 +8,23 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.core.types import Code, Dictionary, Frame, OdometrySample, View
-from dlsc_qbs_ros.pipeline.runner import encode, ENCODERS, map_codes, run
+from dlsc_qbs_ros.pipeline.encoder import DescriptorEncoder
+from dlsc_qbs_ros.pipeline.runner import encode, map_codes, run
 
 FLIGHT_S = 2.2 * LAP_S
 
 
-def with_encoder(name):
-    return CONFIG.override(ENCODERS[name])
+VARIANTS = {
+    'plain': {},
+    'paper': {'encoder.mode': 'paper'},
+    'no gate': {'encoder.gate': False},
+    'patches': {'encoder.input': 'patches'},
+    'odometry': {'ratslam.min_age_s': 1e5}}
 
 
 @lru_cache(maxsize=None)
-def flown(name='dlsc_qbs'):
-    return run(events(FLIGHT_S), with_encoder(name))
+def flown(name='plain'):
+    return run(events(FLIGHT_S), CONFIG.override(VARIANTS[name]))
 
 
 def truth(stamps_ns):
@@ -106,13 +111,44 @@ def test_odometry_alone_gives_back_the_odometry():
 
 
 def test_without_the_gate_every_frame_is_learned_from():
-    counts = flown('dlsc').counts
+    counts = flown('no gate').counts
     assert counts['learning_frames'] == counts['frames']
 
 
+def test_patches_close_the_loop_too():
+    result = flown('patches')
+    assert result.counts['closures'] > 0
+    assert error(result.poses, result.stamps_ns) < 0.6 * error(result.odometry, result.stamps_ns)
+
+
 def test_the_encoder_of_the_paper_has_no_epochs():
-    counts = flown('dlsc_qbs_paper').counts
+    counts = flown('paper').counts
     assert (counts['epochs'], counts['codes_used'] > 250) == (0, True)
+
+
+class Brightness:
+    """A measure that knows nothing but brightness: the difference is a distance."""
+
+    direction, worst = -1, 1.0
+
+    def prepare(self, descriptor):
+        return descriptor.astype(np.float32)
+
+    def compare(self, query, kept):
+        return np.abs(kept - query).mean(axis=(1, 2))
+
+
+def test_any_description_of_a_frame_with_a_measure_of_its_own_takes_the_place_of_codes():
+    """Frames are described by arrays of any shape; mu of a distance has a minus sign."""
+    described = DescriptorEncoder(lambda frame: frame.grey[::2, ::8] / 255.0, CONFIG.view)
+    encoded = encode(events(FLIGHT_S), CONFIG, described)
+    assert encoded.counts['frames'] == flown().counts['frames']
+    near = CONFIG.override({'ratslam.threshold': -0.1, 'ratslam.tracking_threshold': -0.1})
+    result = map_codes(encoded, near, Brightness())
+    assert result.counts['closures'] > 0 and result.counts['epochs'] == 0
+    assert error(result.poses, result.stamps_ns) < 0.6 * error(result.odometry, result.stamps_ns)
+    never = CONFIG.override({'ratslam.threshold': 0.0, 'ratslam.tracking_threshold': 0.0})
+    assert map_codes(encoded, never, Brightness()).counts['closures'] == 0
 
 
 # What is refused

@@ -1,6 +1,7 @@
 /*
- * What an encoder does once a frame, compiled; optional. Each function does what the one of its
- * name in the modules beside it does with numpy, where it is described.
+ * What an encoder does once a frame, compiled; optional. The comments name the modules beside it
+ * where functions are described; those of `planes` have no other form, the rest does what is done
+ * there with numpy.
  */
 #include <math.h>
 #include <stddef.h>
@@ -14,89 +15,161 @@
 #endif
 
 enum {
-    BLOCK = 4096,  /* inputs that stay in the first-level cache while rows go past */
-    TOP = 32766
+    BLOCK = 4096,  /* entries of a row that share a unit */
+    GROUP = 256,  /* products of 16 and 8 bits whose sum fits into 32; rows are whole groups */
+    AHEAD = 4 * GROUP,  /* entries fetched so far ahead hide the way from memory */
+    ENTRY_MAX = 0x7fffff
 };
 
-/* projection: products of short rows with an input; sums of a block in float, of blocks in double */
-EVERY_X86_64
-void project(const int16_t *rows, size_t n_rows, size_t n, const float *input, double *products)
+/* Have memory brought nearer that is needed soon; any address will do. */
+static inline void fetch(const void *start, size_t size)
 {
-    for (size_t i = 0; i < n_rows; i++)
-        products[i] = 0.0;
-    for (size_t start = 0; start < n; start += BLOCK) {
-        const size_t width = n - start < BLOCK ? n - start : BLOCK;
-        const float *x = input + start;
-        size_t i = 0;
-        for (; i + 4 <= n_rows; i += 4) {
-            const int16_t *r0 = rows + i * n + start, *r1 = r0 + n, *r2 = r1 + n, *r3 = r2 + n;
-            float s0 = 0, s1 = 0, s2 = 0, s3 = 0;
-            for (size_t j = 0; j < width; j++) {
-                s0 += r0[j] * x[j];
-                s1 += r1[j] * x[j];
-                s2 += r2[j] * x[j];
-                s3 += r3[j] * x[j];
-            }
-            products[i] += s0;
-            products[i + 1] += s1;
-            products[i + 2] += s2;
-            products[i + 3] += s3;
+    for (size_t offset = 0; offset < size; offset += 64)
+        __builtin_prefetch((const char *)start + offset);
+}
+
+/*
+ * planes: a matrix in three bytes an entry. An entry is (256 high + low) unit, its unit a power of
+ * two for each row of a block, so it is a float to the last bit. Rows are `stride` entries apart.
+ */
+
+/* planes: write a block of rows of floats, with the unit of each and the sum of its entries */
+EVERY_X86_64
+void split(const float *values, size_t n_rows, size_t width, int16_t *high, uint8_t *low,
+           size_t stride, double *units, double *sums)
+{
+    for (; n_rows-- > 0; values += width, high += stride, low += stride) {
+        fetch(high + stride, width * sizeof *high);
+        fetch(low + stride, width);
+        uint32_t bits = 0;  /* of numbers without their signs, in the order of the numbers */
+        for (size_t j = 0; j < width; j++) {
+            uint32_t of_value;
+            memcpy(&of_value, values + j, sizeof of_value);
+            of_value &= 0x7fffffff;
+            bits = of_value > bits ? of_value : bits;
         }
-        for (; i < n_rows; i++) {
-            const int16_t *r = rows + i * n + start;
-            float s = 0;
-            for (size_t j = 0; j < width; j++)
-                s += r[j] * x[j];
-            products[i] += s;
+        float largest;
+        memcpy(&largest, &bits, sizeof largest);
+        const int exponent = isfinite(largest) ? ilogbf(largest > 1e-30f ? largest : 1e-30f) : 0;
+        const float factor = isfinite(largest) ? ldexpf(1, 22 - exponent) : 0;
+        int64_t sum = 0;
+        for (size_t j = 0; j < width; j++) {
+            const float x = factor > 0 ? values[j] * factor : 0;
+            int32_t entry = (int32_t)(x + copysignf(0.5f, x));
+            entry = entry < ENTRY_MAX ? entry : ENTRY_MAX;
+            high[j] = (int16_t)(entry >> 8);
+            low[j] = (uint8_t)entry;
+            sum += entry;
         }
+        *units++ = isfinite(largest) ? ldexp(1, exponent - 22) : NAN;
+        *sums++ = (double)sum;
     }
 }
 
-/* projection: row[j] = values[j] / unit, rounded; returns the unit, that takes the largest to TOP */
+/* planes: read a block of rows */
 EVERY_X86_64
-double shorten(const float *values, size_t n, int16_t *row)
+void join(const int16_t *high, const uint8_t *low, size_t stride, const double *units,
+          size_t n_rows, size_t width, float *values, size_t values_stride)
 {
-    uint32_t bits = 0;  /* of numbers without their signs, in the order of the numbers */
-    for (size_t j = 0; j < n; j++) {
-        uint32_t of_value;
-        memcpy(&of_value, values + j, sizeof of_value);
-        of_value &= 0x7fffffff;
-        bits = of_value > bits ? of_value : bits;
+    for (; n_rows-- > 0; values += values_stride, high += stride, low += stride) {
+        const float unit = (float)*units++;
+        fetch(high + stride, width * sizeof *high);
+        fetch(low + stride, width);
+        for (size_t j = 0; j < width; j++)
+            values[j] = (float)(high[j] * 256 + low[j]) * unit;
     }
-    float largest;
-    memcpy(&largest, &bits, sizeof largest);
-    if (!isfinite(largest)) {  /* nor are its products, then */
-        memset(row, 0, n * sizeof *row);
-        return NAN;
+}
+
+/* planes: pixels without their mean, of rows with factor, mean and sum */
+EVERY_X86_64
+void centre(const uint8_t *pixels, size_t stride, const double *affine, size_t n_rows,
+            size_t width, float *values, size_t values_stride)
+{
+    for (; n_rows-- > 0; values += values_stride, pixels += stride, affine += 3) {
+        const float mean = (float)affine[1];
+        fetch(pixels + stride, width);
+        for (size_t j = 0; j < width; j++)
+            values[j] = (float)pixels[j] - mean;
     }
-    const float factor = largest > 1e-30f ? TOP / largest : 0;
+}
+
+/* planes: the product of a row with pixels, exact but for the sum over blocks */
+static inline double multiply_planes(const int16_t *high, const uint8_t *low, const double *units,
+                                     size_t n_rows, const int16_t *pixels, size_t stride)
+{
+    double product = 0;
+    for (size_t start = 0; start < stride; start += BLOCK, units += n_rows) {
+        const size_t stop = stride - start < BLOCK ? stride : start + BLOCK;
+        int64_t of_block = 0;
+        for (size_t from = start; from < stop; from += GROUP) {
+            int32_t of_high = 0, of_low = 0;
+            fetch(high + from + AHEAD, GROUP * sizeof *high);
+            fetch(low + from + AHEAD, GROUP);
+            for (size_t j = from; j < from + GROUP; j++)
+                of_high += high[j] * pixels[j];
+            for (size_t j = from; j < from + GROUP; j++)
+                of_low += (int16_t)low[j] * pixels[j];
+            of_block += (int64_t)of_high * 256 + of_low;
+        }
+        product += *units * (double)of_block;
+    }
+    return product;
+}
+
+/* pixels: the product of two rows, exact */
+static inline double multiply_pixels(const uint8_t *row, const int16_t *pixels, size_t stride)
+{
+    int64_t product = 0;
+    for (size_t from = 0; from < stride; from += GROUP) {
+        int32_t of_group = 0;
+        fetch(row + from + AHEAD, GROUP);
+        for (size_t j = from; j < from + GROUP; j++)
+            of_group += (int16_t)row[j] * pixels[j];
+        product += of_group;
+    }
+    return (double)product;
+}
+
+/*
+ * planes: products of an input with the atoms and with kept inputs, all of these affine in pixels:
+ * factor (pixel - mean). `affine` holds factor, mean and sum of the pixels; rows and `work` end
+ * with zeros.
+ */
+EVERY_X86_64
+void project(const int16_t *high, const uint8_t *low, size_t stride, const double *units,
+             const double *sums, size_t n_atoms, const uint8_t *kept, const double *kept_affine,
+             size_t n_kept, const uint8_t *pixels, size_t n, const double *affine, int16_t *work,
+             double *products)
+{
+    const double factor = affine[0], mean = affine[1], sum = affine[2];
     for (size_t j = 0; j < n; j++)
-        row[j] = (int16_t)((int)(values[j] * factor + (TOP + 1.5f)) - (TOP + 1));
-    return largest / TOP;
+        work[j] = pixels[j];
+    for (size_t i = 0; i < n_atoms; i++)
+        *products++ = factor * (multiply_planes(
+            high + i * stride, low + i * stride, units + i, n_atoms, work, stride)
+            - mean * sums[i]);
+    for (size_t k = 0; k < n_kept; k++, kept_affine += 3)
+        *products++ = factor * kept_affine[0] * (
+            multiply_pixels(kept + k * stride, work, stride)
+            - mean * kept_affine[2] - kept_affine[1] * sum + mean * kept_affine[1] * n);
 }
 
-/* preprocessing: zero mean, the given deviation; sums of a view are exact in integers */
+/* preprocessing: the sum of pixels and that of their squares */
 EVERY_X86_64
-void standardise(const uint8_t *view, size_t n, double deviation, double min_contrast, float *input)
+void sum_pixels(const uint8_t *pixels, size_t n, double *sums)
 {
-    uint64_t sum = 0, squares = 0;
+    sums[0] = sums[1] = 0;
     for (size_t start = 0; start < n; start += BLOCK) {
         const size_t stop = n - start < BLOCK ? n : start + BLOCK;
-        uint32_t block_sum = 0, block_squares = 0;
+        uint32_t sum = 0, squares = 0;
         for (size_t j = start; j < stop; j++) {
-            const uint32_t pixel = view[j];
-            block_sum += pixel;
-            block_squares += pixel * pixel;
+            const uint32_t pixel = pixels[j];
+            sum += pixel;
+            squares += pixel * pixel;
         }
-        sum += block_sum;
-        squares += block_squares;
+        sums[0] += sum;
+        sums[1] += squares;
     }
-    const double mean = (double)sum / n;
-    const double variance = (double)squares / n - mean * mean;
-    const double contrast = variance > min_contrast * min_contrast ? sqrt(variance) : min_contrast;
-    const float factor = (float)(deviation / contrast), middle = (float)mean;
-    for (size_t j = 0; j < n; j++)
-        input[j] = ((float)view[j] - middle) * factor;
 }
 
 /* sparse_coding: y = a x for a symmetric matrix of m rows */
@@ -109,17 +182,62 @@ static inline void multiply(const double *a, size_t m, const double *x, double *
             y[j] += a[i * m + j] * x[i];
 }
 
-/* sparse_coding: n_steps of the local coding iterations on one code, in place */
+/*
+ * sparse_coding: codes, in place, their products with the inputs and their gradients, for inputs
+ * whose products with n_rows rows are known; the sum of code (gradient - b)
+ */
 EVERY_X86_64
-void proximal_steps(double *code, const double *b, const double *gram, size_t m, double eta_c,
-                    double threshold, size_t n_steps, double *work)
+double infer(const double *products, size_t n, size_t n_rows, const double *mix, size_t mix_stride,
+             const double *gram, size_t m, double eta_c, double threshold, size_t n_steps,
+             double *code, double *b, double *gradient)
 {
-    for (size_t step = 0; step < n_steps; step++) {
-        multiply(gram, m, code, work);
-        for (size_t j = 0; j < m; j++) {
-            const double x = code[j] - eta_c * (work[j] - b[j]);
-            const double taken = x > threshold ? threshold : x < -threshold ? -threshold : x;
-            code[j] = x - taken;  /* not 0 where x is not finite */
+    double sum = 0;
+    for (; n-- > 0; products += n_rows, code += m, b += m, gradient += m) {
+        for (size_t i = 0; i < m; i++) {
+            double product = 0;
+            for (size_t j = 0; j < n_rows; j++)
+                product += mix[i * mix_stride + j] * products[j];
+            b[i] = product;
+        }
+        for (size_t step = 0; step <= n_steps; step++) {
+            for (size_t j = 0; j < m && step > 0; j++) {
+                const double x = code[j] - eta_c * gradient[j];
+                const double taken = x > threshold ? threshold : x < -threshold ? -threshold : x;
+                code[j] = x - taken;  /* not 0 where x is not finite */
+            }
+            multiply(gram, m, code, gradient);
+            for (size_t j = 0; j < m; j++)
+                gradient[j] -= b[j];
+        }
+        for (size_t j = 0; j < m; j++)
+            sum += code[j] * (gradient[j] - b[j]);
+    }
+    return sum;
+}
+
+/* sparse_coding: iterations from zero on many codes of few entries, whose places are `used` */
+EVERY_X86_64
+void sparse_codes(const float *b, size_t n, const float *gram, size_t m, float eta_c,
+                  float threshold, size_t n_steps, float *code, float *descent, uint16_t *used)
+{
+    for (; n-- > 0; b += m, code += m) {
+        size_t n_used = 0;
+        memset(code, 0, m * sizeof *code);
+        for (size_t step = 0; step == 0 || (step < n_steps && n_used > 0); step++) {
+            memcpy(descent, b, m * sizeof *b);
+            for (size_t u = 0; u < n_used; u++)
+                for (size_t j = 0; j < m; j++)
+                    descent[j] -= gram[used[u] * m + j] * code[used[u]];
+            for (size_t j = 0; j < m; j++) {
+                const float x = code[j] + eta_c * descent[j];
+                const float taken = x > threshold ? threshold : x < -threshold ? -threshold : x;
+                code[j] = x - taken;
+            }
+            n_used = 0;
+            for (size_t j = 0; j < m; j++) {
+                used[n_used] = (uint16_t)j;
+                n_used += code[j] != 0;
+            }
         }
     }
 }

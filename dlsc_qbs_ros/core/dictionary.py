@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from .preprocessing import input_scale, N_PAPER
-from .projection import gram_of, make_projection
+from . import kernel
+from .learner import Learner
+from .planes import PlaneProjection
+from .preprocessing import input_scale, N_PAPER, PixelInputs
+from .projection import gram_of, Projection
 from .snapshot import NextSnapshot, Relation, subtract_product
-from .sparse_coding import proximal_steps
+from .sparse_coding import infer
 from ..config import EncoderConfig
 
+# From this many inputs on, three bytes an entry are worth their unpacking.
+LONG = 16384
 # A snapshot is begun while there is room left for the inputs of so many frames.
 FRAMES_AHEAD = 10
-TOUCHED_PER_FRAME = 1 << 18
 # The share of the limit of lambda_max that is left in use by falling back.
 HEADROOM = 0.8
 
 
-class DictionaryLearner:
+class DictionaryLearner(Learner):
     """
     Dictionary phi and warm-started codes of a stream of inputs.
 
-    A step takes a batch of n inputs that belong to one frame: one whole view in the paper's
-    algorithm, or the patches of one. The dictionary follows the mean gradient of the batch.
+    A step takes a batch of n inputs that belong to one frame, one whole view in the paper's
+    algorithm. The dictionary follows the mean gradient of the batch.
 
     A learning step adds to each atom multiples of the atoms and of the inputs. So nothing of
     size N is written: the live atoms are kept as a mix of the rows of a snapshot and of the
@@ -38,8 +42,6 @@ class DictionaryLearner:
         The codes of the last frame, where the next frame's iterations start.
     gram_ : ndarray of shape (n_atoms, n_atoms), float64
         atoms_ @ atoms_.T
-    snapshot_ : ndarray of shape (n_atoms, n_inputs), float32
-        The atoms as they were at an earlier frame; never written to.
     snapshot_gram_ : ndarray of shape (n_atoms, n_atoms), float64
         snapshot_ @ snapshot_.T
     snapshot_products_ : ndarray of shape (n, n_atoms), float64
@@ -48,49 +50,34 @@ class DictionaryLearner:
     """
 
     def __init__(self, n_inputs: int, config: EncoderConfig):
+        super().__init__(config.eta_c)
         self._config = config
-        self._room = max(
-            config.n_atoms * min(max(N_PAPER // n_inputs, 1), 8), 2 * FRAMES_AHEAD)
+        self._room = max(config.n_atoms * min(max(N_PAPER // n_inputs, 1), 8), 2 * FRAMES_AHEAD)
         deviation = config.sigma_w * input_scale(n_inputs)
         self.restart(np.random.default_rng(config.seed).normal(
-            0.0, deviation, (config.n_atoms, n_inputs)).astype(np.float32))
+            0.0, deviation, (config.n_atoms, n_inputs)))
 
     @property
     def atoms_(self) -> np.ndarray:
         """Make the live dictionary, the paper's phi transposed: (n_atoms, n_inputs), float32."""
-        atoms = np.empty_like(self.snapshot_)
-        self._rows.combine(self._live.mix[:, :self._n_rows], atoms)
+        atoms = np.empty((self._config.n_atoms, self._rows.n_inputs), np.float32)
+        mix = self._live.mix[:, :self._n_rows]
+        for columns, block in self._rows.combine(mix, 0, self._rows.n_inputs):
+            atoms[:, columns] = block
         return atoms
 
     @property
-    def lambda_max(self) -> float:
-        """Return the largest eigenvalue of the Gram matrix; infinite when it is not finite."""
-        finite = np.isfinite(self.gram_).all()
-        return float(np.linalg.eigvalsh(self.gram_)[-1]) if finite else np.inf
-
-    @property
-    def lambda_max_limit(self) -> float:
-        """Return 2 / eta_c: coding converges while lambda_max is below."""
-        return 2.0 / self._config.eta_c
-
-    @property
-    def is_stable(self) -> bool:
-        """Whether eta_c < 2 / lambda_max(G): learning has not run away."""
-        limit = self.lambda_max_limit
-        power = self.gram_
-        for exponent in (1, 2, 4):  # ||G^p||^(1/p) bounds lambda_max from above, ever closer
-            if np.linalg.norm(power) < limit ** exponent:
-                return True
-            power = power @ power
-        return self.lambda_max < limit
+    def snapshot_(self) -> np.ndarray:
+        """Return the atoms (n_atoms, n_inputs), float32, as they were; never written to."""
+        atoms = self._rows.atoms
+        atoms.flags.writeable = False
+        return atoms
 
     def restart(self, atoms: np.ndarray) -> None:
         """Go on from these atoms (n_atoms, n_inputs) and zero codes."""
-        self.snapshot_ = np.array(atoms, np.float32, order='C')
-        self.snapshot_.flags.writeable = False
+        atoms = np.array(atoms, np.float32, order='C')
+        self._rows = make_projection(atoms, self._room)
         self.snapshot_gram_ = gram_of(self.snapshot_)
-        self._rows = make_projection(self.snapshot_, self._room)
-        self._spare, self._n_touched = np.empty_like(self.snapshot_), 0
         self._go_on_from_snapshot(1.0)
 
     def fall_back(self) -> None:
@@ -104,21 +91,21 @@ class DictionaryLearner:
         self._go_on_from_snapshot(min(1.0, np.sqrt(HEADROOM * self.lambda_max_limit / highest)))
 
     def _go_on_from_snapshot(self, scale: float) -> None:
-        self._n_kept = 0
+        self._rows.forget()
         self._live = Relation(self.snapshot_gram_, self._room, scale)
         self._next: NextSnapshot | None = None
         self.gram_ = scale * scale * self.snapshot_gram_
         self.codes_ = np.zeros((1, self._config.n_atoms))
         self._drift = self._measure_drift()
 
-    def infer(self, inputs: np.ndarray) -> float:
+    def infer(self, inputs: np.ndarray | PixelInputs) -> float:
         """
         Infer the codes of a batch (lines 2 to 4) and return its mean reprojection error e_k.
 
         Parameters
         ----------
-        inputs : ndarray of shape (n, n_inputs), float32
-            The input vectors s_k of one frame.
+        inputs : PixelInputs, or ndarray of shape (n, n_inputs), float32
+            The n input vectors s_k of one frame; by the kernel, long ones only as PixelInputs.
 
         Raises
         ------
@@ -131,19 +118,14 @@ class DictionaryLearner:
         if len(self.codes_) != len(inputs):
             self.codes_ = np.zeros((len(inputs), self._config.n_atoms))
         self._tend_snapshot()
-        self._products = self._rows.products(inputs, self._n_kept)
+        self._products = self._rows.products(inputs)
         self.snapshot_products_ = self._products[:, :self._config.n_atoms]
-        self._b = self._products @ self._live.mix[:, :self._n_rows].T
-        self._among = gram_of(inputs)
-        self.codes_ = proximal_steps(
-            self.codes_, self._b, self.gram_,
+        self._b, self.codes_, self._gradient, beyond = infer(
+            self._products, self._live.mix[:, :self._n_rows], self.codes_, self.gram_,
             self._config.eta_c, self._config.lambda_1, self._config.n_coding)
-        self._gradient = self.codes_ @ self.gram_ - self._b
-        # ||r||^2 = c (g - b) + ||s||^2, with the gradient g = r phi^T = c G - b.
-        squared = np.vdot(self.codes_, self._gradient - self._b) + np.trace(self._among)
-        return float(squared) / len(inputs)
+        return (self._rows.squared_norm(inputs) + beyond) / len(inputs)
 
-    def learn(self, inputs: np.ndarray) -> None:
+    def learn(self, inputs: np.ndarray | PixelInputs) -> None:
         """
         Take `n_learning` gradient steps on the dictionary from the batch just inferred.
 
@@ -151,29 +133,29 @@ class DictionaryLearner:
         products with it follow: g = r phi^T = c G - b, s r^T = b c^T - s s^T, and
         r r^T = g c^T - r s^T, of which only the symmetric part matters.
         """
-        codes, rate = self.codes_, self._config.eta_d / len(inputs)
+        codes, b, gradient = self.codes_, self._b, self._gradient
+        rate = self._config.eta_d / len(inputs)
         if not (self._config.n_learning * rate * codes).any():
             return  # phi stays as it is: there is no input to keep
         relations = [(self._live, self.snapshot_products_)]
         if self._next is not None:
             relations.append((self._next.live, self._next.products(self._products)))
-        self._rows.keep(self._n_kept, inputs)
+        kept, among = self._rows.keep(inputs), self._rows.gram(inputs)
         for _ in range(self._config.n_learning):
-            input_residuals = self._b @ codes.T - self._among
-            residuals = self._gradient @ codes.T - input_residuals
+            input_residuals = b @ codes.T - among
+            residuals = gradient @ codes.T - input_residuals
             for relation, products in relations:
-                relation.learn(codes, products, self._n_kept, rate)
-            half = rate * self._gradient - (0.5 * rate * rate) * (residuals @ codes)
+                relation.learn(codes, products, kept, rate)
+            half = rate * gradient - (0.5 * rate * rate) * (residuals @ codes)
             subtract_product(self.gram_, codes, half)
             subtract_product(self.gram_, half, codes)
-            self._b -= rate * input_residuals @ codes
-            self._gradient = codes @ self.gram_ - self._b
-        self._n_kept += len(inputs)
+            b = b - rate * input_residuals @ codes
+            gradient = codes @ self.gram_ - b
         self._drift = self._measure_drift()
 
     @property
     def _n_rows(self) -> int:
-        return self._config.n_atoms + self._n_kept
+        return self._config.n_atoms + self._rows.n_kept
 
     def _measure_drift(self) -> float:
         """Return how far the live atoms are from the snapshot's, in Frobenius norms of these."""
@@ -184,36 +166,30 @@ class DictionaryLearner:
     def _tend_snapshot(self) -> None:
         """Work on a snapshot where one is begun or due, and see that there is room for inputs."""
         n_frame = len(self.codes_)
-        if self._next is None:
-            self._touch_spare()
         if (self._next is not None or self._drift > self._config.epoch_change
-                or self._n_kept + FRAMES_AHEAD * n_frame > self._room):
+                or self._rows.room < FRAMES_AHEAD * n_frame):
             self._make_snapshot()
-        while self._n_kept + n_frame > self._room:
+        while self._rows.room < n_frame:
             self._make_snapshot()
 
     def _make_snapshot(self) -> None:
         """Begin a snapshot or go on with it for one frame; adopt it once it is whole."""
         if self._next is None:
             self._next = NextSnapshot(
-                self._spare, self._rows, self._live.mix[:, :self._n_rows], self.gram_, self._room)
+                self._rows, self._live.mix[:, :self._n_rows], self.gram_, self._room)
         self._next.make_columns()
         if self._next.is_whole:
             self._adopt(self._next)
 
     def _adopt(self, snapshot: NextSnapshot) -> None:
         """Go on from a new snapshot, with the inputs learned from since it was begun."""
-        kept = slice(snapshot.n_kept, self._n_kept)
-        self._rows.replace(snapshot.atoms, kept)
-        snapshot.live.move_kept(kept)
-        self._n_kept -= snapshot.n_kept
-        self.snapshot_, self.snapshot_gram_ = snapshot.atoms, snapshot.gram
+        snapshot.live.move_kept(self._rows.replace(snapshot.atoms, snapshot.n_kept))
+        self.snapshot_gram_ = snapshot.gram
         self._live, self._next = snapshot.live, None
         self._drift = self._measure_drift()
-        self._spare, self._n_touched = np.empty_like(self.snapshot_), 0
 
-    def _touch_spare(self) -> None:
-        """Use some of the next snapshot's memory: its first frame would have it all mapped."""
-        end = self._n_touched + TOUCHED_PER_FRAME
-        self._spare.reshape(-1)[self._n_touched:end] = 0.0
-        self._n_touched = end
+
+def make_projection(atoms: np.ndarray, room: int) -> Projection:
+    """Return the projection with room for so many inputs that is cheapest here."""
+    is_long = kernel.LIBRARY is not None and atoms.shape[1] >= LONG
+    return (PlaneProjection if is_long else Projection)(atoms, room)

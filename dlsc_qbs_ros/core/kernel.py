@@ -7,7 +7,7 @@ Whoever calls a function here has made sure that `LIBRARY` is there. Arrays must
 from __future__ import annotations
 
 from contextlib import contextmanager
-from ctypes import c_double, c_int, c_size_t, c_void_p, CDLL
+from ctypes import c_double, c_float, c_int, c_size_t, c_void_p, CDLL
 from pathlib import Path
 from typing import Iterator
 
@@ -19,16 +19,22 @@ def _load() -> CDLL | None:
     try:
         library = CDLL(str(Path(__file__).with_name('_kernel.so')))
         for function, arguments in (
-                (library.project, (array, size, size, array, array)),
-                (library.shorten, (array, size, array)),
-                (library.standardise, (array, size, number, number, array)),
-                (library.proximal_steps, (array, array, array, size, number, number, size, array)),
+                (library.split, (array, size, size, array, array, size, array, array)),
+                (library.join, (array, array, size, array, size, size, array, size)),
+                (library.centre, (array, size, array, size, size, array, size)),
+                (library.project, (array, array, size, array, array, size, array, array, size,
+                                   array, size, array, array, array)),
+                (library.sum_pixels, (array, size, array)),
+                (library.infer, (array, size, size, array, size, array, size, number, number,
+                                 size, array, array, array)),
+                (library.sparse_codes, (array, size, array, size, c_float, c_float, size, array,
+                                        array, array)),
                 (library.active_set, (array, array, size, number, number, size, array, array)),
                 (library.subtract_product, (array, size, size, size, size, array, array))):
             function.argtypes, function.restype = arguments, None
     except (OSError, AttributeError):  # not there, of another machine, or of an earlier version
         return None
-    library.shorten.restype, library.active_set.restype = c_double, c_int
+    library.active_set.restype, library.infer.restype = c_int, c_double
     return library
 
 
@@ -46,33 +52,63 @@ def disabled() -> Iterator[None]:
         LIBRARY = library
 
 
-def project(rows: np.ndarray, n_rows: int, values: np.ndarray) -> np.ndarray:
-    """Return products (n_rows,), float64, of the first rows (m, n), int16, and (n,) float32."""
-    products = np.empty(n_rows)
+def split(values: np.ndarray, high: np.ndarray, low: np.ndarray, units: np.ndarray,
+          sums: np.ndarray) -> None:
+    """Write values (n_rows, width), float32, to the first columns of two planes."""
+    LIBRARY.split(values.ctypes.data, *values.shape, high.ctypes.data, low.ctypes.data,
+                  low.strides[0], units.ctypes.data, sums.ctypes.data)
+
+
+def join(high: np.ndarray, low: np.ndarray, units: np.ndarray, values: np.ndarray) -> None:
+    """Write what the first columns of two planes hold to values (n_rows, width), float32."""
+    LIBRARY.join(high.ctypes.data, low.ctypes.data, low.strides[0], units.ctypes.data,
+                 *values.shape, values.ctypes.data, values.strides[0] // values.itemsize)
+
+
+def centre(pixels: np.ndarray, affine: np.ndarray, values: np.ndarray) -> None:
+    """Write the first columns of pixels, each row without its mean, to values (n_rows, width)."""
+    LIBRARY.centre(pixels.ctypes.data, pixels.strides[0], affine.ctypes.data, *values.shape,
+                   values.ctypes.data, values.strides[0] // values.itemsize)
+
+
+def project(high: np.ndarray, low: np.ndarray, units: np.ndarray, sums: np.ndarray,
+            kept: np.ndarray, kept_affine: np.ndarray, pixels: np.ndarray, affine: np.ndarray,
+            work: np.ndarray, products: np.ndarray) -> None:
+    """Write products (n_atoms + n_kept,), float64, of an input with atoms and kept inputs."""
     LIBRARY.project(
-        rows.ctypes.data, n_rows, rows.shape[1], values.ctypes.data, products.ctypes.data)
-    return products
+        high.ctypes.data, low.ctypes.data, len(work), units.ctypes.data, sums.ctypes.data,
+        len(sums), kept.ctypes.data, kept_affine.ctypes.data, len(products) - len(sums),
+        pixels.ctypes.data, len(pixels), affine.ctypes.data, work.ctypes.data,
+        products.ctypes.data)
 
 
-def shorten(values: np.ndarray, row: np.ndarray) -> float:
-    """Write values (n,), float32, as a row (n,), int16; return the unit it is in."""
-    return LIBRARY.shorten(values.ctypes.data, len(values), row.ctypes.data)
+def sum_pixels(pixels: np.ndarray) -> tuple[float, float]:
+    """Return the sum of pixels (n,), uint8, and that of their squares."""
+    sums = (c_double * 2)()
+    LIBRARY.sum_pixels(pixels.ctypes.data, len(pixels), sums)
+    return tuple(sums)
 
 
-def standardise(views: np.ndarray, deviation: float, min_contrast: float, inputs: np.ndarray
-                ) -> None:
-    """Write views (n_views, n), uint8, with zero mean and this deviation as float32 inputs."""
-    for view, row in zip(views, inputs):
-        LIBRARY.standardise(view.ctypes.data, len(view), deviation, min_contrast, row.ctypes.data)
+def infer(products: np.ndarray, mix: np.ndarray, codes: np.ndarray, gram: np.ndarray,
+          eta_c: float, threshold: float, n_steps: int
+          ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Return b, codes and gradients (n, m), float64, and the sum of codes (gradients - b)."""
+    b, gradients, codes = np.empty(codes.shape), np.empty(codes.shape), codes.copy()
+    total = LIBRARY.infer(
+        products.ctypes.data, *products.shape, mix.ctypes.data, mix.strides[0] // mix.itemsize,
+        gram.ctypes.data, len(gram), eta_c, threshold, n_steps, codes.ctypes.data, b.ctypes.data,
+        gradients.ctypes.data)
+    return b, codes, gradients, total
 
 
-def proximal_steps(codes: np.ndarray, b: np.ndarray, gram: np.ndarray, eta_c: float,
-                   threshold: float, n_steps: int) -> np.ndarray:
-    """Return codes (n, m), float64, after so many iterations."""
-    codes, work = codes.copy(), np.empty(len(gram))
-    for code, row in zip(codes, b):
-        LIBRARY.proximal_steps(code.ctypes.data, row.ctypes.data, gram.ctypes.data, len(gram),
-                               eta_c, threshold, n_steps, work.ctypes.data)
+def sparse_codes(b: np.ndarray, gram: np.ndarray, eta_c: float, threshold: float, n_steps: int
+                 ) -> np.ndarray:
+    """Return codes (n, m) of products b (n, m), gram (m, m); all float32."""
+    codes, descent = np.empty_like(b), np.empty(len(gram), np.float32)
+    used = np.empty(len(gram), np.uint16)
+    LIBRARY.sparse_codes(
+        b.ctypes.data, len(b), gram.ctypes.data, len(gram), eta_c, threshold, n_steps,
+        codes.ctypes.data, descent.ctypes.data, used.ctypes.data)
     return codes
 
 

@@ -3,48 +3,149 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Protocol
 
 import numpy as np
 
 from .rows import Rows
 
 
-class ViewCells:
+# The share of the mean code that is taken off. All of it would leave nothing of the views of a
+# drone that stays in one room; none makes any two places half alike.
+COMMON = 0.7
+
+
+class Measure(Protocol):
     """
-    The code book: one unit code per view cell, compared by cosine (paper, s_ij).
+    How alike two descriptors are.
 
     Attributes
     ----------
-    codes : ndarray of shape (n_cells, n_values), float32
+    direction : int
+        1 for a similarity, which grows with likeness; -1 for a distance.
+    worst : float
+        The value of a pair that has nothing in common.
 
     """
 
-    def __init__(self, n_values: int):
-        self._codes = Rows(np.zeros((0, n_values), np.float32))
+    direction: int
+    worst: float
 
-    codes = property(lambda self: self._codes.values)
+    def prepare(self, descriptor: np.ndarray) -> np.ndarray:
+        """Return what is kept of a descriptor; of one shape for all."""
+
+    def compare(self, query: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Return the values (n,) of what is kept of one descriptor with that of n others."""
+
+
+class Descriptor(Protocol):
+    """An encoder without dictionary or memory: what it makes of a frame, and the measure of it."""
+
+    measure: Measure
+
+    def describe(self, grey: np.ndarray) -> np.ndarray:
+        """Return the descriptor of a grey image (rows, columns), uint8; of one shape for all."""
+
+
+class Cosine:
+    """The cosine between codes (paper, s_ij): a similarity."""
+
+    direction = 1
+    worst = 0.0
+
+    def prepare(self, descriptor: np.ndarray) -> np.ndarray:
+        """Return codes of length 1 along the last axis, float32; a zero code stays zero."""
+        length = np.linalg.norm(descriptor, axis=-1, keepdims=True)
+        return (descriptor / np.where(length > 0, length, 1.0)).astype(np.float32)
+
+    def compare(self, query: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Return the cosines (n,) of a unit code with n others (n, n_values)."""
+        return kept @ query
+
+
+class ViewCells:
+    """
+    The code book: what is kept of the descriptor of every view cell.
+
+    A descriptor without content, all zeros, is like no other. Whatever the measure,
+    `likeness` grows with likeness: a distance is taken with a minus sign.
+
+    Attributes
+    ----------
+    kept : ndarray of shape (n_cells, ...)
+
+    """
+
+    def __init__(self, measure: Measure):
+        self._measure = measure
+        self._kept: Rows | None = None
+        self._is_blank = Rows(np.zeros(0, bool))
+
+    kept = property(lambda self: self._kept.values)
 
     def __len__(self) -> int:
-        return len(self.codes)
+        return len(self._is_blank.values)
 
-    def add(self, code: np.ndarray) -> int:
-        """Store the code of a new view cell and return its index."""
-        self._codes.append(unit(code))
+    def add(self, descriptor: np.ndarray) -> int:
+        """Keep the descriptor of a new view cell and return its index."""
+        kept = self._measure.prepare(descriptor)
+        if self._kept is None:
+            self._kept = Rows(np.zeros((0, *kept.shape), kept.dtype))
+        self._kept.append(kept)
+        self._is_blank.append(not descriptor.any())
         return len(self) - 1
 
     def replace(self, codes: np.ndarray) -> None:
-        """Swap the whole code book, after re-encoding under another dictionary."""
-        self._codes = Rows(unit(codes).astype(np.float32))
+        """Swap the whole code book (n_cells, n_values), after re-encoding."""
+        self._kept = Rows(self._measure.prepare(codes))
+        self._is_blank = Rows(~codes.any(axis=1))
 
-    def similarities(self, code: np.ndarray) -> np.ndarray:
-        """Return the cosine between a code and every view cell, shape (n_cells,)."""
-        return self.codes @ unit(code).astype(np.float32)
+    def likeness(self, descriptor: np.ndarray) -> np.ndarray:
+        """Return how alike a descriptor and every view cell are, shape (n_cells,)."""
+        values = np.full(len(self), self._measure.worst, np.float32)
+        if len(self) and descriptor.any():
+            values = np.where(
+                self._is_blank.values, values,
+                self._measure.compare(self._measure.prepare(descriptor), self.kept))
+        return self._measure.direction * values
 
 
-def unit(codes: np.ndarray) -> np.ndarray:
-    """Return codes of length 1 along the last axis; a zero code stays zero, similar to none."""
-    length = np.linalg.norm(codes, axis=-1, keepdims=True)
-    return codes / np.where(length > 0, length, 1.0)
+class CentredCells(ViewCells):
+    """
+    The code book of codes that have much in common, compared by the cosine about their mean.
+
+    The share `COMMON` of the mean of all view cells is taken from every code. All that takes are
+    the cosines, and for each cell the sum of its own with all others.
+    """
+
+    def __init__(self):
+        super().__init__(Cosine())
+        self._sums = Rows(np.zeros(0))
+
+    def add(self, descriptor: np.ndarray) -> int:
+        """Keep the code of a new view cell and return its index."""
+        cosines = super().likeness(descriptor)
+        self._sums.values[:] += cosines
+        self._sums.append(cosines.sum() + descriptor.any())
+        return super().add(descriptor)
+
+    def replace(self, codes: np.ndarray) -> None:
+        """Swap the whole code book (n_cells, n_values), after re-encoding."""
+        super().replace(codes)
+        self._sums = Rows(self.kept @ self.kept.sum(axis=0, dtype=float))
+
+    def likeness(self, descriptor: np.ndarray) -> np.ndarray:
+        """Return the cosine of a code and every view cell about the mean, shape (n_cells,)."""
+        cosines = super().likeness(descriptor)
+        if not len(self):
+            return cosines
+        with_query = COMMON * cosines.mean()
+        with_cells = COMMON * self._sums.values / len(self)
+        of_mean = COMMON ** 2 * self._sums.values.mean() / len(self)
+        squares = (1.0 - 2.0 * with_cells + of_mean) * (1.0 - 2.0 * with_query + of_mean)
+        centred = cosines - with_query - with_cells + of_mean
+        is_blank = cosines == 0.0
+        return np.where(is_blank, 0.0, centred / np.sqrt(np.maximum(squares, 1e-12)))
 
 
 class SequenceScore:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from math import sqrt
 
 import numpy as np
 
@@ -24,7 +25,7 @@ MIN_CONTRAST = 4.0
 
 def input_scale(n_inputs: int) -> float:
     """Return the factor by which views and initial atoms of `n_inputs` pixels are scaled."""
-    return float(np.sqrt(N_PAPER / n_inputs))
+    return sqrt(N_PAPER / n_inputs)
 
 
 def make_view(grey: np.ndarray, config: ViewConfig) -> np.ndarray:
@@ -74,36 +75,62 @@ def _area_weights(n_in: int, n_out: int) -> np.ndarray:
     return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-def view_to_inputs(views: np.ndarray, standardise: bool, out: np.ndarray | None = None
-                   ) -> np.ndarray:
+class PixelInputs:
     """
-    Return the input vectors s_k of a batch of views.
+    The input vectors s_k of a batch of views, each affine in its pixels: factor (pixel - mean).
 
-    Parameters
+    `numpy.asarray` makes them: (n_views, n_pixels), float32.
+
+    Attributes
     ----------
-    views : ndarray of shape (n_views, height, width), uint8
-        Views of one size.
-    standardise : bool
-        True: zero mean and deviation `DEVIATION`, which undoes changes of lighting.
-        False: pixels in [0, 1], as in the paper.
-    out : ndarray of shape (n_views, height * width), float32, optional
-        Where to write them.
-
-    Returns
-    -------
-    ndarray of shape (n_views, height * width), float32
+    pixels : ndarray of shape (n_views, n_pixels), uint8
+    affine : ndarray of shape (n_views, 3), float64
+        Factor, mean, and the sum of the pixels.
+    squared_norms : ndarray of shape (n_views,), float64
 
     """
-    views = np.ascontiguousarray(views).reshape(len(views), -1)
-    scale = input_scale(views.shape[1])
-    inputs = np.empty(views.shape, np.float32) if out is None else out
-    if not standardise:
-        return np.multiply(views, np.float32(scale / 255.0), out=inputs)
+
+    def __init__(self, views: np.ndarray, standardise: bool):
+        """
+        Take views (n_views, height, width), uint8.
+
+        They get zero mean and the deviation `DEVIATION`, which undoes changes of lighting; or
+        else, as in the paper, are pixels in [0, 1].
+        """
+        self.pixels = np.ascontiguousarray(views).reshape(len(views), -1)
+        self._values: np.ndarray | None = None
+        n = self.pixels.shape[1]
+        self.affine, self.squared_norms = np.empty((len(views), 3)), np.empty(len(views))
+        for i, pixels in enumerate(self.pixels):
+            total, variance = moments_of(pixels)
+            mean = total / n if standardise else 0.0
+            contrast = max(sqrt(variance), MIN_CONTRAST) / DEVIATION if standardise else 255.0
+            factor = input_scale(n) / contrast
+            self.affine[i] = factor, mean, total
+            self.squared_norms[i] = factor * factor * n * (variance + (total / n - mean) ** 2)
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        if self._values is None:
+            factors, means, _ = self.affine.T.astype(np.float32)[:, :, None]
+            self._values = self.pixels - means
+            self._values *= factors
+        return self._values
+
+
+def moments_of(pixels: np.ndarray) -> tuple[float, float]:
+    """Return the sum of pixels (n,), uint8, and their variance."""
+    n = len(pixels)
     if kernel.LIBRARY is not None:
-        kernel.standardise(views, scale * DEVIATION, MIN_CONTRAST, inputs)
-        return inputs
-    for view, row in zip(views, inputs):
-        np.subtract(view, np.float32(view.sum(dtype=np.uint32) / len(view)), out=row)
-        contrast = np.sqrt(np.dot(row, row) / len(row))
-        row *= np.float32(scale * DEVIATION / max(contrast, MIN_CONTRAST))
-    return inputs
+        total, squares = kernel.sum_pixels(pixels)
+        return total, max(squares / n - (total / n) ** 2, 0.0)
+    total = int(pixels.sum(dtype=np.uint32))
+    centred = pixels - np.float32(total / n)
+    return total, float(np.dot(centred, centred)) / n
+
+
+def view_to_inputs(views: np.ndarray, standardise: bool) -> np.ndarray:
+    """Return the input vectors of views, as `PixelInputs` has them, as float32."""
+    return np.asarray(PixelInputs(views, standardise))

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Iterator
+
 import numpy as np
 
-from . import kernel
-
-# From this many inputs on, kept ones are worth shortening to 16 bits. Rounding changes a product
-# of two views by less than 1e-5 of their lengths, at the paper's size 2e-6: some 5 to 30 times
-# what a sum of 32 bits does.
-LONG = 16384
-# Columns that are combined at a time: those of all rows stay in the second-level cache.
-COLUMNS = 512
 # Terms of a sum in 32 bits; such sums are added in 64.
 TERMS = 32768
 
@@ -21,69 +15,98 @@ class Projection:
     A fixed matrix of rows: the atoms of a snapshot, then inputs kept since.
 
     The atoms are shared, never copied nor written to.
+
+    Attributes
+    ----------
+    n_inputs : int
+        Length of a row.
+    n_kept : int
+        The inputs kept.
+
     """
 
-    def __init__(self, atoms: np.ndarray, room: int, dtype: type = np.float32):
-        self.atoms = atoms
-        self._kept = np.empty((room, atoms.shape[1]), dtype)
-
-    def keep(self, start: int, inputs: np.ndarray) -> None:
-        """Keep inputs (n, n_inputs), float32, in the slots from `start` on."""
-        self._kept[start:start + len(inputs)] = inputs
-
-    def replace(self, atoms: np.ndarray, kept: slice) -> None:
-        """Go on with other atoms and the inputs in these slots, moved to the first ones."""
-        self.atoms = atoms
-        _to_front(self._kept, kept)
-
-    def products(self, inputs: np.ndarray, n_kept: int) -> np.ndarray:
-        """Multiply inputs (n, n_inputs) and rows; return (n, n_atoms + n_kept), float64."""
-        return np.concatenate(
-            [inputs @ self.atoms.T, self._kept_products(inputs, n_kept)], axis=1, dtype=float)
-
-    def combine(self, weights: np.ndarray, out: np.ndarray, start: int = 0,
-                stop: int | None = None) -> None:
-        """Write columns of weights (m, n_atoms + n_kept) @ rows to out (m, n_inputs), float32."""
-        of_atoms, of_inputs = np.split(weights.astype(np.float32), [len(self.atoms)], axis=1)
-        stop = out.shape[1] if stop is None else stop
-        for first in range(start, stop, COLUMNS):
-            columns = slice(first, min(first + COLUMNS, stop))
-            block = of_atoms @ self.atoms[:, columns]
-            block += of_inputs @ self._kept_inputs(of_inputs.shape[1], columns)
-            out[:, columns] = block
-
-    def _kept_products(self, inputs: np.ndarray, n_kept: int) -> np.ndarray:
-        return inputs @ self._kept[:n_kept].T
-
-    def _kept_inputs(self, n_kept: int, columns: slice) -> np.ndarray:
-        return self._kept[:n_kept, columns]
-
-
-class ShortProjection(Projection):
-    """The same with kept inputs of 16 bits, each in a unit of its own, for the kernel."""
+    # Columns that are combined at a time: those of all rows stay in the second-level cache.
+    columns = 512
 
     def __init__(self, atoms: np.ndarray, room: int):
-        super().__init__(atoms, room, np.int16)
-        self._units = np.zeros(room)
+        self.n_inputs, self.n_kept = atoms.shape[1], 0
+        self._atoms = atoms
+        self._kept = np.empty((room, atoms.shape[1]), np.float32)
 
-    def keep(self, start: int, inputs: np.ndarray) -> None:
-        for slot, row in enumerate(np.ascontiguousarray(inputs), start):
-            self._units[slot] = kernel.shorten(row, self._kept[slot])
+    @property
+    def atoms(self) -> np.ndarray:
+        """Return the rows that are atoms, (n_atoms, n_inputs), float32."""
+        return self._atoms
 
-    def replace(self, atoms: np.ndarray, kept: slice) -> None:
-        super().replace(atoms, kept)
-        _to_front(self._units, kept)
+    @property
+    def room(self) -> int:
+        """Return how many more inputs can be kept."""
+        return len(self._kept) - self.n_kept
 
-    def _kept_products(self, inputs: np.ndarray, n_kept: int) -> np.ndarray:
-        return self._units[:n_kept] * np.array([
-            kernel.project(self._kept, n_kept, row) for row in np.ascontiguousarray(inputs)])
+    def forget(self) -> None:
+        """Forget all inputs kept."""
+        self.n_kept = 0
 
-    def _kept_inputs(self, n_kept: int, columns: slice) -> np.ndarray:
-        return self._kept[:n_kept, columns] * self._units[:n_kept, None].astype(np.float32)
+    def keep(self, inputs: np.ndarray) -> np.ndarray:
+        """Keep inputs (n, n_inputs), float32; return them in terms of all kept (n, n_kept)."""
+        start, self.n_kept = self.n_kept, self.n_kept + len(inputs)
+        self._store(slice(start, self.n_kept), inputs)
+        return np.eye(len(inputs), self.n_kept, start)
+
+    def new_atoms(self) -> np.ndarray:
+        """Return memory for other atoms, to be written in such columns as `combine` yields."""
+        return np.empty_like(self._atoms)
+
+    def replace(self, atoms: np.ndarray, n_forgotten: int) -> slice:
+        """
+        Go on with other atoms, without the inputs that were kept first.
+
+        Return the slots of those that stay; they move to the first ones.
+        """
+        staying = slice(n_forgotten, self.n_kept)
+        self._atoms, self.n_kept = atoms, self.n_kept - n_forgotten
+        self._move_to_front(staying)
+        return staying
+
+    def products(self, inputs: np.ndarray) -> np.ndarray:
+        """Multiply inputs (n, n_inputs) and rows; return (n, n_atoms + n_kept), float64."""
+        inputs = np.asarray(inputs)
+        return np.concatenate(
+            [inputs @ self._atoms.T, inputs @ self._kept[:self.n_kept].T], axis=1, dtype=float)
+
+    def gram(self, inputs: np.ndarray) -> np.ndarray:
+        """Return the products of inputs with each other (n, n), float64."""
+        return gram_of(np.asarray(inputs))
+
+    def squared_norm(self, inputs: np.ndarray) -> float:
+        """Return the sum of the squares of inputs."""
+        values = np.asarray(inputs).reshape(-1)
+        blocks = (values[start:start + TERMS] for start in range(0, len(values), TERMS))
+        return sum(float(np.dot(block, block)) for block in blocks)
+
+    def combine(self, weights: np.ndarray, start: int, stop: int
+                ) -> Iterator[tuple[slice, np.ndarray]]:
+        """Yield columns of weights (m, n_atoms + n_kept) @ rows, float32, and which they are."""
+        of_atoms, of_inputs = np.split(weights.astype(np.float32), [self._atoms.shape[0]], axis=1)
+        for first in range(start, stop, self.columns):
+            columns = slice(first, min(first + self.columns, stop))
+            block = of_atoms @ self._atoms[:, columns]
+            block += of_inputs @ self._kept_inputs(of_inputs.shape[1], columns)
+            yield columns, block
+
+    def _store(self, slots: slice, inputs: np.ndarray) -> None:
+        self._kept[slots] = np.asarray(inputs)
+
+    def _move_to_front(self, slots: slice) -> None:
+        to_front(self._kept, slots)
+
+    def _kept_inputs(self, n: int, columns: slice) -> np.ndarray:
+        return self._kept[:n, columns]
 
 
-def _to_front(array: np.ndarray, kept: slice) -> None:
-    array[:kept.stop - kept.start] = array[kept].copy()
+def to_front(array: np.ndarray, rows: slice) -> None:
+    """Move rows of an array to its first ones."""
+    array[:rows.stop - rows.start] = array[rows].copy()
 
 
 def gram_of(rows: np.ndarray) -> np.ndarray:
@@ -93,9 +116,3 @@ def gram_of(rows: np.ndarray) -> np.ndarray:
         block = rows[:, start:start + TERMS]
         gram += block @ block.T
     return gram
-
-
-def make_projection(atoms: np.ndarray, room: int) -> Projection:
-    """Return the projection that is cheapest here."""
-    is_short = kernel.LIBRARY is not None and atoms.shape[1] >= LONG
-    return (ShortProjection if is_short else Projection)(atoms, room)

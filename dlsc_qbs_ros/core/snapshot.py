@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from . import kernel
-from .preprocessing import N_PAPER
+from .planes import BLOCK
 from .projection import Projection
 
 # Columns of a new snapshot that are made per frame: an eighth of all at the paper's size.
-COLUMNS_PER_FRAME = N_PAPER // 8
+COLUMNS_PER_FRAME = 3 * BLOCK
 
 
 class Relation:
@@ -30,7 +30,8 @@ class Relation:
         self.mix = scale * np.eye(len(gram), len(gram) + room)
         self.cross = scale * gram
 
-    def learn(self, codes: np.ndarray, products: np.ndarray, slot: int, rate: float) -> None:
+    def learn(self, codes: np.ndarray, products: np.ndarray, kept: np.ndarray, rate: float
+              ) -> None:
         """
         Take the step live -= rate * codes.T @ (codes @ live - inputs).
 
@@ -40,17 +41,17 @@ class Relation:
             The codes of the inputs learned from.
         products : ndarray of shape (n, n_atoms), float64
             Products of the inputs with the snapshot's atoms.
-        slot : int
-            Where the first of these inputs is kept; the others follow.
+        kept : ndarray of shape (n, n_kept), float64
+            These inputs in terms of the kept ones.
         rate : float
             The learning rate, over n.
 
         """
-        n, n_atoms = codes.shape
-        first = n_atoms + slot
-        residuals = codes @ self.mix[:, :first + n]
-        residuals[:, first:] -= np.eye(n)
-        subtract_product(self.mix[:, :first + n], rate * codes, residuals)
+        n_atoms = len(self.mix)
+        used = self.mix[:, :n_atoms + kept.shape[1]]
+        residuals = codes @ used
+        residuals[:, n_atoms:] -= kept
+        subtract_product(used, rate * codes, residuals)
         subtract_product(self.cross, rate * codes, codes @ self.cross - products)
 
     def move_kept(self, kept: slice) -> None:
@@ -77,27 +78,26 @@ class NextSnapshot:
     atoms learn on; `live` is their relation to this snapshot.
     """
 
-    def __init__(self, atoms: np.ndarray, rows: Projection, mix: np.ndarray, gram: np.ndarray,
-                 room: int):
-        """Begin to write `mix` times the rows to `atoms`; `gram` is what theirs will be."""
+    def __init__(self, rows: Projection, mix: np.ndarray, gram: np.ndarray, room: int):
+        """Begin to make `mix` times the rows; `gram` is what their Gram matrix will be."""
         self._rows, self._mix = rows, mix.copy()
-        self._n_columns = 0
-        self.n_kept = mix.shape[1] - len(gram)
-        self.atoms = atoms
+        self._n_made = 0
+        self.n_kept = rows.n_kept
+        self.atoms = rows.new_atoms()
         self.gram = gram.copy()
         self.live = Relation(gram, room)
 
     @property
     def is_whole(self) -> bool:
         """Whether every column has been made."""
-        return self._n_columns == self.atoms.shape[1]
+        return self._n_made == self._rows.n_inputs
 
     def make_columns(self) -> None:
-        """Make the next columns; seal the snapshot after the last."""
-        stop = min(self._n_columns + COLUMNS_PER_FRAME, self.atoms.shape[1])
-        self._rows.combine(self._mix, self.atoms, self._n_columns, stop)
-        self._n_columns = stop
-        self.atoms.flags.writeable = not self.is_whole
+        """Make the next columns."""
+        stop = min(self._n_made + COLUMNS_PER_FRAME, self._rows.n_inputs)
+        for columns, block in self._rows.combine(self._mix, self._n_made, stop):
+            self.atoms[:, columns] = block
+        self._n_made = stop
 
     def products(self, products: np.ndarray) -> np.ndarray:
         """Return the products of inputs with its atoms, from those with the rows it is made of."""

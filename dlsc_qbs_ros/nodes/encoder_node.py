@@ -39,7 +39,7 @@ class EncoderNode(Node):
         self._dictionary_publisher = create_publisher(self, Image, 'dictionary', DICTIONARY)
         self._view_publisher = create_publisher(self, Image, 'view', OUTPUT)
         self._code_publisher = create_publisher(self, Image, 'code', OUTPUT)
-        self._scope = EncoderScope(self, self._encoder, config.view)
+        self._scope = EncoderScope(self, self._encoder)
         create_subscription(self, CompressedImage if config.image.compressed else Image, 'image',
                             self._on_image, IMAGE_INPUT)
         publish_diagnostics(self, self._report)

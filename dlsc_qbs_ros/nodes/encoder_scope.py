@@ -9,7 +9,6 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image, JointState
 
-from ..config import ViewConfig
 from ..pipeline.encoder import Encoded, Encoder
 from ..ros.learning_conversions import atoms_to_msg, scalars_to_msg
 from ..ros.qos import create_publisher, OUTPUT
@@ -22,9 +21,8 @@ IMAGE_OUTPUT = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 class EncoderScope:
     """Publishes `learning` for each frame and `dictionary_image` now and then, if asked for."""
 
-    def __init__(self, node: Node, encoder: Encoder, view: ViewConfig):
+    def __init__(self, node: Node, encoder: Encoder):
         self._encoder = encoder
-        self._view = view
         self._image_s = -inf
         self._learning_publisher = create_publisher(node, JointState, 'learning', OUTPUT)
         self._image_publisher = create_publisher(node, Image, 'dictionary_image', IMAGE_OUTPUT)
@@ -38,7 +36,7 @@ class EncoderScope:
         if self._is_image_due(encoded) and self._image_publisher.get_subscription_count():
             self._image_s = time.monotonic()
             self._image_publisher.publish(atoms_to_msg(
-                encoded.code.stamp_ns, self._encoder.atoms, self._view.height, self._view.width))
+                encoded.code.stamp_ns, self._encoder.atoms, *self._encoder.atom_shape))
 
     def _is_image_due(self, encoded: Encoded) -> bool:
         """Whether an epoch starts or a second, of wall time as the work is, has passed."""

@@ -11,7 +11,7 @@ import numpy as np
 from .stamps import StampOrder, Succession
 from ..config import Config, ViewConfig
 from ..core.dictionary import DictionaryLearner
-from ..core.preprocessing import make_view, view_to_inputs
+from ..core.preprocessing import make_view, PixelInputs
 from ..core.surprise import SurpriseGate
 from ..core.types import Frame
 from ..errors import ImageError
@@ -87,7 +87,7 @@ def learn(views: Collection[np.ndarray], config: Config,
     learned, stable = np.zeros((2, len(views)), bool)
     with np.errstate(all='ignore'):  # a dictionary may run away here: that is the experiment
         for k, view in enumerate(views):
-            inputs = view_to_inputs(view[None], config.view.standardise)
+            inputs = PixelInputs(view[None], config.view.standardise)
             error = learner.infer(inputs)
             if not np.isfinite(error):
                 break
@@ -112,7 +112,7 @@ def replay(views: Collection[np.ndarray], config: Config, atoms: np.ndarray) -> 
     with np.errstate(all='ignore'):
         learner.restart(atoms)
         for k, view in enumerate(views):
-            error = learner.infer(view_to_inputs(view[None], config.view.standardise))
+            error = learner.infer(PixelInputs(view[None], config.view.standardise))
             if not np.isfinite(error):
                 break
             errors[k] = error

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Callable, Protocol
 
 import numpy as np
 
 from .coder import Coder
 from .stamps import StampOrder, Succession
-from ..config import Config
+from ..config import Config, ViewConfig
 from ..core.dictionary import DictionaryLearner
-from ..core.preprocessing import make_view, view_to_inputs
+from ..core.inputs import make_inputs
+from ..core.patch_dictionary import PatchLearner
+from ..core.preprocessing import make_view
 from ..core.surprise import SurpriseGate
 from ..core.types import Code, Dictionary, Frame, View
 from ..errors import ConfigError, StampError
@@ -26,12 +29,19 @@ class Encoded:
 
     code: Code
     view: View
-    dictionary: Dictionary | None
-    reprojection_error: float
-    surprise: float
-    learned: bool
-    ran_away: bool
-    epoch: int
+    dictionary: Dictionary | None = None
+    reprojection_error: float = 0.0
+    surprise: float = 0.0
+    learned: bool = False
+    ran_away: bool = False
+    epoch: int = 0
+
+
+class FrameEncoder(Protocol):
+    """What turns a stream of frames into codes: DLSC-QBS, or a row of the table beside it."""
+
+    def process(self, frame: Frame) -> Encoded:
+        """Encode the next frame; raise ImageError or StampError, unchanged, where it cannot."""
 
 
 class Encoder:
@@ -46,10 +56,11 @@ class Encoder:
 
     def __init__(self, config: Config):
         self._config = config
-        n_inputs = config.view.width * config.view.height
-        # Memory for s_k: mapping it anew for each frame would take longer than filling it.
-        self._inputs = np.empty((1, n_inputs), np.float32)
-        self._learner = DictionaryLearner(n_inputs, config.encoder)
+        self._inputs = make_inputs(config)
+        self._learner = (
+            PatchLearner(self._inputs.n_inputs, config.encoder, config.patches)
+            if config.encoder.input == 'patches'
+            else DictionaryLearner(self._inputs.n_inputs, config.encoder))
         self._gate = SurpriseGate(config.encoder.gate_window)
         self._order = StampOrder()
         self._coder: Coder | None = None
@@ -63,6 +74,11 @@ class Encoder:
     def atoms(self) -> np.ndarray:
         """Make the live dictionary for the caller: (n_atoms, n_inputs), float32."""
         return self._learner.atoms_
+
+    @property
+    def atom_shape(self) -> tuple[int, int]:
+        """Return height and width of an atom: those of the view, or of a patch."""
+        return self._inputs.shape
 
     @property
     def lambda_max(self) -> float:
@@ -86,11 +102,8 @@ class Encoder:
             When the stamp is not after that of the frame before. A refused frame changes nothing.
 
         """
-        view = make_view(frame.grey, self._config.view)
-        if self._order.take(frame.stamp_ns) is Succession.LATE:
-            raise StampError(f'stamp {frame.stamp_ns} ns: expected one after '
-                             f'{self._order.newest_ns} ns')
-        inputs = view_to_inputs(view[None], self._config.view.standardise, out=self._inputs)
+        view = _next_view(frame, self._config.view, self._order)
+        inputs = self._inputs.of(view[None])
         error = self._learner.infer(inputs)
         dictionary = self._new_dictionary(frame.stamp_ns)
         values, dictionary_ns = self._published_code()
@@ -98,7 +111,8 @@ class Encoder:
         with np.errstate(over='ignore', invalid='ignore'):  # of a learner that runs away
             if learned:
                 self._learner.learn(inputs)
-            ran_away = self._config.encoder.protection and not self._learner.is_stable
+            ran_away = (self._config.encoder.protection and learned
+                        and not self._learner.is_stable)
         self._gate.observe(error)
         if ran_away:
             self._learner.fall_back()
@@ -111,7 +125,7 @@ class Encoder:
 
     def _published_code(self) -> tuple[np.ndarray, int | None]:
         if self._coder is None:
-            return self._learner.codes_[0], None
+            return self._inputs.pooled(self._learner.codes_)[0], None
         code, = self._coder.encode_products(self._learner.snapshot_products_)
         return code, self._coder.dictionary.stamp_ns
 
@@ -125,3 +139,26 @@ class Encoder:
         self._coder = Coder(dictionary, self._config, self._learner.snapshot_gram_)
         self._epoch += 1
         return dictionary
+
+
+class DescriptorEncoder:
+    """An encoder without dictionary or memory: each frame's code is a function of that frame."""
+
+    def __init__(self, describe: Callable[[Frame], np.ndarray], config: ViewConfig):
+        self._describe = describe
+        self._config = config
+        self._order = StampOrder()
+
+    def process(self, frame: Frame) -> Encoded:
+        """Describe one frame; see `FrameEncoder`."""
+        view = _next_view(frame, self._config, self._order)
+        return Encoded(Code(frame.stamp_ns, self._describe(frame), None),
+                       View(frame.stamp_ns, view))
+
+
+def _next_view(frame: Frame, config: ViewConfig, order: StampOrder) -> np.ndarray:
+    """Return the view of a frame that comes after the ones before."""
+    view = make_view(frame.grey, config)
+    if order.take(frame.stamp_ns) is Succession.LATE:
+        raise StampError(f'stamp {frame.stamp_ns} ns: expected one after {order.newest_ns} ns')
+    return view

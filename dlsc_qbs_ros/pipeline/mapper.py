@@ -11,7 +11,7 @@ from ..config import Config
 from ..core.drift import Drift
 from ..core.experience_map import ExperienceMap
 from ..core.geometry import between, compose, invert, wrap_angle
-from ..core.local_view import SequenceScore, ViewCells
+from ..core.local_view import CentredCells, Cosine, Measure, SequenceScore, ViewCells
 from ..core.pose_cells import PoseCells
 from ..core.rows import Rows
 from ..core.types import IDENTITY, OdometrySample, Pose2
@@ -38,10 +38,11 @@ class Mapper:
     # A view without a code, of darkness say, is waited out for so many distances of a keyframe.
     PATIENCE = 2.0
 
-    def __init__(self, config: Config):
+    def __init__(self, config: Config, measure: Measure | None = None):
         self._config = config.ratslam
         self._pose_cell_config = config.pose_cells
-        self.view_cells: ViewCells | None = None
+        is_centred = measure is None and config.encoder.mode == 'epochs'
+        self.view_cells = CentredCells() if is_centred else ViewCells(measure or Cosine())
         self.pose_cells = PoseCells(config.pose_cells)
         self.map = ExperienceMap()
         self.drift = Drift(config.odometry)
@@ -75,8 +76,6 @@ class Mapper:
             The code.
 
         """
-        if self.view_cells is None:
-            self.view_cells = ViewCells(len(code))
         motion = self._advance(odometry)
         n_cells = len(self.view_cells)
         is_keyframe = self._is_keyframe(odometry, 1.0 if code.any() else self.PATIENCE)
@@ -92,8 +91,7 @@ class Mapper:
 
     def replace_codes(self, codes: np.ndarray) -> None:
         """Put the view cells' codes (n_cells, n_values) under another dictionary in force."""
-        if self.view_cells is not None:
-            self.view_cells.replace(codes)
+        self.view_cells.replace(codes)
 
     def pose(self) -> Pose2:
         """Return map_T_base at the last update."""
@@ -138,7 +136,7 @@ class Mapper:
 
     def _view_event(self, code: np.ndarray) -> None:
         """Match the code to an old view cell and inject, or make a new one."""
-        matched = self._match(self.view_cells.similarities(code))
+        matched = self._match(self.view_cells.likeness(code))
         if matched is None:
             self._active_cell = self.view_cells.add(code)
             self._cell_position.append(self.pose_cells.position())

@@ -17,6 +17,8 @@ from .stamps import CLOCK_JUMP_NS, StampOrder, Succession
 from ..config import Config
 from ..core.drift import Drift
 from ..core.geometry import between, compose, invert
+from ..core.inputs import make_inputs
+from ..core.local_view import Measure
 from ..core.types import IDENTITY, Code, Dictionary, OdometrySample, PoseEstimate, View
 
 
@@ -41,11 +43,14 @@ class RatSlam:
     CHECK_TOLERANCE = 1e-3
 
     def __init__(self, config: Config, executor: Executor | None = None,
-                 on_update: Callable[[Mapper], None] = lambda mapper: None):
+                 on_update: Callable[[Mapper], None] = lambda mapper: None,
+                 measure: Measure | None = None):
         self._period_ns = int(config.ratslam.sample_period_s * 1e9)
         self._max_wait_s = config.ratslam.max_wait_s
         self._view_shape = (config.view.height, config.view.width)
-        self._dictionary_shape = (config.encoder.n_atoms, config.view.width * config.view.height)
+        inputs = make_inputs(config)
+        self._dictionary_shape = (config.encoder.n_atoms, inputs.n_inputs)
+        self._code_shape = (inputs.n_values,) if measure is None else None
         self._book = CodeBook(config, executor or InlineExecutor())
         self._history = OdometryHistory()
         self._codes: deque[tuple[Code, float]] = deque()
@@ -62,7 +67,7 @@ class RatSlam:
         self._drift = Drift(config.odometry)
         self._on_update = on_update
         self.codes_match = True
-        self.mapper = Mapper(config)
+        self.mapper = Mapper(config, measure)
         self.counts: Counter[str] = Counter()
 
     def add_odometry(self, sample: OdometrySample, now_s: float = 0.0) -> None:
@@ -96,7 +101,9 @@ class RatSlam:
 
     def add_code(self, code: Code, now_s: float = 0.0) -> None:
         """Take in the next code; one of another length or not after the last is refused."""
-        if len(code.values) != self._dictionary_shape[0]:
+        if self._code_shape is None:
+            self._code_shape = code.values.shape  # of another encoder, whatever it be
+        if code.values.shape != self._code_shape:
             self.counts['codes_of_another_length'] += 1
             return
         if not np.isfinite(code.values).all():

@@ -6,26 +6,18 @@ from collections import Counter
 from dataclasses import dataclass
 from math import inf
 import time
-from typing import Any, Iterable, Iterator
+from typing import Iterable, Iterator
 
 import numpy as np
 
-from .encoder import Encoder
+from .encoder import Encoder, FrameEncoder
 from .odometry import OdometryNormaliser
 from .ratslam import RatSlam
 from ..config import Config
 from ..core.geometry import compose
+from ..core.local_view import Measure
 from ..core.types import Code, Dictionary, Frame, OdometrySample, RawOdometry, View
 from ..errors import ImageError, StampError
-
-# What an encoder of the table means in parameters.
-ENCODERS: dict[str, dict[str, Any]] = {
-    'dlsc_qbs': {'encoder.mode': 'epochs', 'encoder.gate': True},
-    'dlsc_qbs_paper': {'encoder.mode': 'paper', 'encoder.gate': True},
-    'dlsc': {'encoder.mode': 'epochs', 'encoder.gate': False},
-    'odometry': {'ratslam.min_age_s': 1e5},
-}
-
 
 @dataclass(frozen=True)
 class RunResult:
@@ -43,6 +35,8 @@ class RunResult:
     odometry : ndarray of shape (n, 3)
         The odometry pose at each code's stamp.
     experiences : ndarray of shape (m, 3)
+    births : ndarray of shape (m,), int64
+        The code, of the n, at which each experience was made.
     links : ndarray of shape (l, 2), int64
         Indices of the experiences that each link joins.
     closures : ndarray of shape (c, 2), int64
@@ -59,6 +53,7 @@ class RunResult:
     final_poses: np.ndarray
     odometry: np.ndarray
     experiences: np.ndarray
+    births: np.ndarray
     links: np.ndarray
     closures: np.ndarray
     counts: dict[str, int]
@@ -79,17 +74,17 @@ def run(events: Iterable[Frame | RawOdometry], config: Config) -> RunResult:
     return map_codes(encode(events, config), config)
 
 
-def encode(events: Iterable[Frame | RawOdometry], config: Config) -> EncodedFlight:
-    """Take a flight through the encoder, once for any number of `map_codes`."""
+def encode(events: Iterable[Frame | RawOdometry], config: Config,
+           encoder: FrameEncoder | None = None) -> EncodedFlight:
+    """Take a flight through DLSC-QBS or another encoder, once for any number of `map_codes`."""
     started = time.perf_counter()
     counts = Counter(frames=0, learning_frames=0, epochs=0)
-    encoded = list(_encode(events, config, counts))
+    encoded = list(_encode(events, config, encoder or Encoder(config), counts))
     return EncodedFlight(encoded, counts, time.perf_counter() - started)
 
 
-def _encode(events: Iterable[Frame | RawOdometry], config: Config, counts: Counter[str]
-            ) -> Iterator[OdometrySample | Dictionary | View | Code]:
-    encoder = Encoder(config)
+def _encode(events: Iterable[Frame | RawOdometry], config: Config, encoder: FrameEncoder,
+            counts: Counter[str]) -> Iterator[OdometrySample | Dictionary | View | Code]:
     normaliser = OdometryNormaliser(config.odometry)
     for event in events:
         if isinstance(event, RawOdometry):
@@ -113,11 +108,12 @@ def _encode(events: Iterable[Frame | RawOdometry], config: Config, counts: Count
     counts.update(normaliser.counts)
 
 
-def map_codes(flight: EncodedFlight, config: Config) -> RunResult:
-    """Take an encoded flight through ratslam."""
+def map_codes(flight: EncodedFlight, config: Config, measure: Measure | None = None
+              ) -> RunResult:
+    """Take an encoded flight through ratslam; codes are compared by cosine or another measure."""
     started = time.perf_counter()
     track: list[tuple] = []
-    ratslam = RatSlam(config, on_update=lambda mapper: track.append(
+    ratslam = RatSlam(config, measure=measure, on_update=lambda mapper: track.append(
         (mapper.odometry, mapper.pose(), mapper.place)))
     add = {OdometrySample: ratslam.add_odometry, Dictionary: ratslam.add_dictionary,
            View: ratslam.add_view, Code: ratslam.add_code}
@@ -133,7 +129,7 @@ def _result(ratslam: RatSlam, track: list[tuple], flight: EncodedFlight, seconds
     mapper = ratslam.mapper
     closures = mapper.map.links[mapper.map.is_closure]
     counts = {**ratslam.counts, **flight.counts,
-              'view_cells': len(mapper.view_cells) if mapper.view_cells else 0,
+              'view_cells': len(mapper.view_cells),
               'experiences': len(mapper.map), 'closures': len(closures)}
     return RunResult(
         stamps_ns=np.array([odometry.stamp_ns for odometry, _, _ in track], np.int64),
@@ -141,7 +137,9 @@ def _result(ratslam: RatSlam, track: list[tuple], flight: EncodedFlight, seconds
         final_poses=_poses(compose(mapper.map.pose(place.experience), place.offset)
                            for _, _, place in track),
         odometry=_poses(odometry.pose for odometry, _, _ in track),
-        experiences=mapper.map.poses.copy(), links=mapper.map.links.copy(),
+        experiences=mapper.map.poses.copy(),
+        births=np.unique([place.experience for _, _, place in track], return_index=True)[1],
+        links=mapper.map.links.copy(),
         closures=closures, counts=counts, seconds=flight.seconds + seconds)
 
 

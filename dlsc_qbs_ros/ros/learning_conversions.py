@@ -12,6 +12,9 @@ from .stamps import ns_to_stamp
 from ..core.mosaic import mosaic
 
 
+TILE_PX = 32
+
+
 def scalars_to_msg(stamp_ns: int, values: Mapping[str, float]) -> JointState:
     """
     Return named scalars as a joint state, the one stock type of a stamp and numbers with names.
@@ -27,4 +30,6 @@ def scalars_to_msg(stamp_ns: int, values: Mapping[str, float]) -> JointState:
 
 def atoms_to_msg(stamp_ns: int, atoms: np.ndarray, height: int, width: int) -> Image:
     """Return atoms, of shape (n_atoms, height * width), as tiles of one mono8 image."""
-    return image_to_msg(stamp_ns, mosaic(atoms, height, width), 'mono8', '')
+    zoom = max(TILE_PX // max(height, width), 1)  # those of patches would be hard to see
+    picture = mosaic(atoms, height, width).repeat(zoom, axis=0).repeat(zoom, axis=1)
+    return image_to_msg(stamp_ns, picture, 'mono8', '')

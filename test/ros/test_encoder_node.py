@@ -165,13 +165,13 @@ def test_the_report_holds_the_step_size_against_its_limit(graph):
     level, values = graph.report(lambda values: values['encoded'] == '10')
     assert (level, values['ran_away']) == (DiagnosticStatus.OK, '0')
     assert float(values['lambda_max']) == pytest.approx(encoder.lambda_max, rel=1e-5)
-    assert values['lambda_max_limit'] == '400'  # 2 / eta_c
+    assert values['lambda_max_limit'] == '128'  # 2 / eta_c, which is 1 / n_atoms for patches
 
 
 @pytest.mark.parametrize('protection', [True, False])
 def test_learning_that_runs_away_is_reported(start, observer, protection):
     graph = Graph(start, observer, '-p', 'encoder.eta_d:=1.0', '-p', 'encoder.mode:=paper',
-                  '-p', f'encoder.protection:={protection}'.lower())
+                  '-p', 'encoder.input:=image', '-p', f'encoder.protection:={protection}'.lower())
     graph.send(map(to_msg, frames(20)))
     _, values = graph.report(lambda values: values['encoded'] == '20')
     messages = ', '.join(report.status[0].message for report in graph.reports)
@@ -243,8 +243,10 @@ def test_the_dictionary_image_shows_the_atoms_as_the_frame_of_its_stamp_left_the
     encoder, picture = Encoder(Config()), pictures[0]
     for frame in sent[:(stamp_of(picture) - START_NS) // PERIOD_NS + 1]:
         encoder.process(frame)
-    assert (picture.encoding, picture.height, picture.width) == ('mono8', 8 * 33 - 1, 8 * 44 - 1)
-    np.testing.assert_array_equal(image_to_grey(picture), mosaic(encoder.atoms, 32, 43))
+    # Patches of 5 x 5 pixels, each pixel six times as large.
+    assert (picture.encoding, picture.height, picture.width) == ('mono8', 6 * 47, 6 * 47)
+    np.testing.assert_array_equal(
+        image_to_grey(picture)[::6, ::6], mosaic(encoder.atoms, 5, 5))
 
 
 def test_the_names_of_what_is_shown_are_relative(start, observer):
@@ -266,7 +268,7 @@ class Scope:
             encoder_scope, 'time', SimpleNamespace(monotonic=lambda: self.now_s))
         config = Config().override({f'encoder.{key}': value for key, value in overrides.items()})
         self._encoder = Encoder(config)
-        self._scope = encoder_scope.EncoderScope(observer.node, self._encoder, config.view)
+        self._scope = encoder_scope.EncoderScope(observer.node, self._encoder)
 
     def _noted(self, to_msg, built):
         def build(stamp_ns, *args):
