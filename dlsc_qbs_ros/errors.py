@@ -23,3 +23,7 @@ class OdometryError(DlscQbsError):
 
 class RecordingError(DlscQbsError):
     """A recording is missing, cut, foreign or lacks what was asked of it."""
+
+
+class ModelError(DlscQbsError):
+    """A file of a network is missing, damaged or not of the kind that was asked for."""

@@ -21,7 +21,8 @@ ROOT = Path(__file__).parent.parent
 PROFILES = sorted((ROOT / 'config').glob('*.yaml'))
 LAUNCH_FILES = sorted((ROOT / 'launch').glob('*.launch.py'))
 BIN = ROOT / 'install' / 'dlsc_qbs_ros' / 'lib' / 'dlsc_qbs_ros'
-TOOLS = ('simulate', 'replay', 'evaluate', 'reproduce_encoder')
+TOOLS = ('simulate', 'replay', 'evaluate', 'reproduce', 'reproduce_encoder', 'convert_vgg11',
+         'train_latentslam')
 NODES = ('encoder', 'ratslam', 'recorder')
 
 # The rosdep key of an imported module, where the two names differ.
