@@ -5,11 +5,12 @@ import json
 import subprocess
 import sys
 
-from dlsc_qbs_ros.cli import evaluate
+from dlsc_qbs_ros.cli import evaluate, job
+from dlsc_qbs_ros.cli.methods import METHODS
 from dlsc_qbs_ros.config import Config, load_profile
 from dlsc_qbs_ros.core.types import Frame, GroundTruthSample, OdometrySample, Pose2
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.pipeline.runner import ENCODERS, RunResult
+from dlsc_qbs_ros.pipeline.runner import EncodedFlight, RunResult
 import numpy as np
 import pytest
 
@@ -33,10 +34,10 @@ def events(with_truth=True):
 
 
 class Pipeline:
-    """Stands in for reader and pipeline: the error of the run grows with |threshold - 0.7|."""
+    """Stands in for reader and pipeline: the error of the run grows with |threshold - best|."""
 
     def __init__(self):
-        self.with_truth, self.usable = True, slice(None)
+        self.with_truth, self.usable, self.best = True, slice(None), 0.7
         self.read, self.encoded, self.mapped = [], [], []
 
     def read_flight(self, path, image_topic, odom_topic, ground_truth_topic,
@@ -47,20 +48,22 @@ class Pipeline:
             raise RecordingError(f'{path}: not an MCAP file')
         return events(self.with_truth)
 
-    def encode(self, stream, config):
+    def encode(self, stream, config, encoder):
         stream = list(stream)
         assert not any(isinstance(event, GroundTruthSample) for event in stream)
         self.encoded.append(config)
-        return stream
+        return EncodedFlight(stream, COUNTS, 0.04)
 
-    def map_codes(self, encoded, config):
-        assert len(encoded) == 2 * N
+    def map_codes(self, encoded, config, measure):
+        assert len(encoded.events) == 2 * N
         self.mapped.append(config)
         poses = np.column_stack([positions(), np.zeros(N)])
-        poses[::2, 0] += 10.0 * abs(config.ratslam.threshold - 0.7)
+        direction = measure.direction if measure else 1
+        poses[::2, 0] += 10.0 * abs(direction * config.ratslam.threshold - self.best)
         poses = poses[self.usable]
         return RunResult(
             np.arange(N, dtype=np.int64)[self.usable] * SECOND_NS, poses, poses, poses, poses,
+            np.arange(len(poses)),
             np.zeros((0, 2), np.int64), np.array([[0, 9]]), COUNTS, 0.1)
 
 
@@ -69,7 +72,9 @@ def pipeline(monkeypatch):
     """Put the stand-in in the place of reader and pipeline."""
     fake = Pipeline()
     for name in ('read_flight', 'encode', 'map_codes'):
-        monkeypatch.setattr(evaluate, name, getattr(fake, name))
+        monkeypatch.setattr(job, name, getattr(fake, name))
+    monkeypatch.setattr(job, 'recognise', lambda *_: None)
+    monkeypatch.setattr(evaluate, 'spread', lambda work, jobs, *_: map(work, jobs))
     return fake
 
 
@@ -93,7 +98,8 @@ class TestResults:
         out = tmp_path / 'deep' / 'out'
         assert evaluate.main([str(flight), '--encoder', 'dlsc_qbs,dlsc', '--out', str(out)]) == 0
         assert sorted(path.name for path in out.iterdir()) == [
-            'config.yaml', 'flight_1_dlsc.png', 'flight_1_dlsc_qbs.png', 'metrics.json']
+            'config.yaml', 'flight_1_dlsc.png', 'flight_1_dlsc_qbs.png', 'metrics.json',
+            'timing.json']
         rows = rows_of(out)
         assert [(row['flight'], row['encoder']) for row in rows] == [
             ('flight_1', 'dlsc_qbs'), ('flight_1', 'dlsc')]
@@ -120,7 +126,7 @@ class TestResults:
         for k, (mode, gate) in enumerate(product(('epochs', 'paper'), ('true', 'false'))):
             evaluate.main([str(flight), '--encoder', encoder, '--set', f'encoder.mode={mode}',
                            '--set', f'encoder.gate={gate}', '--out', str(tmp_path / str(k))])
-        assert pipeline.encoded == 4 * [Config().override(ENCODERS[encoder])]
+        assert pipeline.encoded == 4 * [Config().override(METHODS[encoder].overrides)]
 
     def test_a_parameter_that_a_row_overrules_is_told_and_no_other(
             self, pipeline, flight, tmp_path, capsys):
@@ -147,13 +153,15 @@ class TestResults:
         profile = tmp_path / 'profile.yaml'
         profile.write_text('/**:\n  ros__parameters:\n    encoder: {n_atoms: 9, seed: 1}\n')
         evaluate.main([str(flight), '--config', str(profile), '--set', 'encoder.seed=2',
-                       '--set', 'encoder.eta_c=1e-3', '--threshold', '0.6',
+                       '--set', 'encoder.eta_c=1e-3', '--set', 'ratslam.threshold=0.6',
+                       '--set', 'ratslam.tracking_threshold=0.43',
                        '--out', str(tmp_path / 'out')])
         read_back = Config().override(load_profile(tmp_path / 'out' / 'config.yaml'))
         assert read_back == pipeline.mapped[0]
         assert read_back == Config().override({
             'encoder.n_atoms': 9, 'encoder.seed': 2, 'encoder.eta_c': 1e-3,
-            'ratslam.threshold': 0.6})
+            'ratslam.threshold': 0.6,
+            'ratslam.tracking_threshold': 0.43})
         assert '[]' not in (tmp_path / 'out' / 'config.yaml').read_text(), 'ROS cannot read []'
 
     def test_topics_reach_the_reader(self, pipeline, flight, tmp_path):
@@ -185,20 +193,42 @@ class TestThreshold:
         assert (row['threshold'], row['threshold_tuned']) == (0.7, False)
         assert row['mae_l'] == pytest.approx(0.0, abs=1e-6)
 
-    def test_tune_finds_the_least_mae_l_and_encodes_once(self, pipeline, flight, tmp_path):
+    def test_tune_finds_the_least_mae_l_and_maps_each_mu_once(
+            self, pipeline, flight, tmp_path):
         evaluate.main([str(flight), '--threshold', 'tune', '--out', str(tmp_path / 'out')])
         row, = rows_of(tmp_path / 'out')
         assert row['threshold_tuned'] is True
-        assert row['threshold'] == min(evaluate.TUNING_GRID, key=lambda mu: abs(mu - 0.7))
+        assert row['threshold'] == min(METHODS['dlsc_qbs'].grid, key=lambda mu: abs(mu - 0.7))
         assert len(pipeline.encoded) == 1
-        assert len(pipeline.mapped) == len(evaluate.TUNING_GRID) + 1
+        assert len(pipeline.mapped) == len(METHODS['dlsc_qbs'].grid)
+
+    def test_mu_of_a_distance_is_given_and_reported_as_one(self, pipeline, flight, tmp_path):
+        pipeline.best = 0.04
+        for k, threshold in enumerate((['--threshold', '0.07'], ['--threshold', 'tune'], [])):
+            evaluate.main([str(flight), '--encoder', 'ratslam', *threshold, '--out',
+                           str(tmp_path / str(k))])
+        given, tuned, usual = (rows_of(tmp_path / str(k))[0]['threshold'] for k in range(3))
+        assert (given, tuned, usual) == (0.07, 0.04, METHODS['ratslam'].threshold)
+        # The back end takes it with a minus sign: it grows with likeness.
+        assert pipeline.mapped[0].ratslam.threshold == -0.07
+
+    def test_mu_while_tracking_moves_along(self, pipeline, flight, tmp_path):
+        usual = Config().ratslam
+        for row in ('dlsc_qbs', 'ratslam'):
+            evaluate.main([str(flight), '--encoder', row, '--threshold', '0.07', '--out',
+                           str(tmp_path / row)])
+        similarity, distance = (config.ratslam for config in pipeline.mapped)
+        assert similarity.tracking_threshold - similarity.threshold == pytest.approx(
+            usual.tracking_threshold - usual.threshold)
+        assert distance.tracking_threshold - distance.threshold == pytest.approx(
+            -METHODS['ratslam'].tracking_gap)
 
     def test_tune_takes_the_strictest_of_equals(
             self, pipeline, flight, tmp_path, monkeypatch):
-        monkeypatch.setattr(evaluate, 'map_codes', lambda encoded, config: pipeline.map_codes(
-            encoded, config.override({'ratslam.threshold': 0.7})))
+        monkeypatch.setattr(job, 'map_codes', lambda encoded, config, measure: pipeline.map_codes(
+            encoded, config.override({'ratslam.threshold': 0.7}), measure))
         evaluate.main([str(flight), '--threshold', 'tune', '--out', str(tmp_path / 'out')])
-        assert rows_of(tmp_path / 'out')[0]['threshold'] == max(evaluate.TUNING_GRID)
+        assert rows_of(tmp_path / 'out')[0]['threshold'] == max(METHODS['dlsc_qbs'].grid)
 
     def test_tune_leaves_odometry_alone(self, pipeline, flight, tmp_path):
         evaluate.main([str(flight), '--encoder', 'odometry', '--threshold', 'tune', '--out',
@@ -217,8 +247,11 @@ class TestRefusals:
     """Expected errors are one line on stderr and exit code 1."""
 
     @pytest.mark.parametrize('arguments, message', [
-        (['--encoder', 'dlsc,vgg'], r"--encoder 'vgg': expected any of dlsc_qbs, dlsc_qbs_paper"),
+        (['--encoder', 'dlsc,vgg'], "--encoder 'vgg': expected any of odometry, oracle, ratslam"),
         (['--encoder', ''], "--encoder ''"),
+        (['--encoder', 'vgg11'], '--encoder vgg11: expected --onnx vgg11=FILE'),
+        (['--encoder', 'vgg11', '--onnx', 'a.onnx'], 'expected --onnx vgg11=FILE'),
+        (['--onnx', 'hog=a.onnx'], "--onnx 'hog=a.onnx': the encoder hog has no network"),
         (['--set', 'encoder.atoms=3'], "unknown parameter 'encoder.atoms' (value 3)"),
         (['--set', 'encoder.n_atoms=0'], 'encoder.n_atoms = 0: expected a value in [1, 4096]'),
         (['--set', 'encoder.n_atoms'], "'encoder.n_atoms': expected section.name=value"),

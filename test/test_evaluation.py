@@ -5,9 +5,9 @@ import sys
 
 from dlsc_qbs_ros.core.types import GroundTruthSample, Pose2
 from dlsc_qbs_ros.errors import DlscQbsError
-from dlsc_qbs_ros.evaluation.alignment import align, Alignment
+from dlsc_qbs_ros.evaluation.alignment import align, align_least_squares, Alignment
 from dlsc_qbs_ros.evaluation.association import associate
-from dlsc_qbs_ros.evaluation.metrics import evaluate_run, mae_l, mae_m
+from dlsc_qbs_ros.evaluation.metrics import ate_rmse_m, evaluate_run, mae_l, mae_m
 from dlsc_qbs_ros.evaluation.plots import plot_run
 from dlsc_qbs_ros.evaluation.table import format_table, Row
 from dlsc_qbs_ros.pipeline.runner import RunResult
@@ -43,7 +43,7 @@ def result_of(poses, final_poses=None, odometry=None, closures=()):
     n = len(poses)
     return RunResult(
         stamps_ns=np.arange(n, dtype=np.int64) * SECOND_NS, poses=poses, final_poses=final,
-        odometry=odometry, experiences=final,
+        odometry=odometry, experiences=final, births=np.arange(n),
         links=np.column_stack([np.arange(n - 1), np.arange(1, n)]),
         closures=np.array(closures, dtype=np.int64).reshape(-1, 2), counts=COUNTS, seconds=1.5)
 
@@ -55,7 +55,8 @@ def truth_of(points):
 def row_of(result, truth, **changes):
     values = {'flight': 'flight_1', 'encoder': 'dlsc_qbs', 'metrics': evaluate_run(result, truth),
               'threshold': 0.75, 'threshold_tuned': False, 'n_codes': len(result.stamps_ns),
-              'counts': result.counts, 'seconds': result.seconds, 'refused': {}}
+              'counts': result.counts, 'refused': {}, 'false_closures': 0, 'encode_s': 1.8,
+              'map_s': 0.9}
     return Row(**{**values, **changes})
 
 
@@ -87,6 +88,42 @@ class TestFigures:
                          for x, y in estimate.tolist()) / len(estimate)
         assert mae_l(estimate[:600], truth) == pytest.approx(expected_l)
         assert mae_m(estimate, truth) == pytest.approx(expected_m)
+
+
+class TestAte:
+    """The absolute trajectory error is what is left by the rigid motion of least squares."""
+
+    @pytest.mark.parametrize('shift, turn', [((0.0, 0.0), 0.0), ((40.0, -9.0), 2.5)])
+    def test_by_hand(self, shift, turn):
+        """Turned by a quarter, two of four points a metre too far out: sqrt(2 / 4)."""
+        truth = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        estimate = np.array([[0.0, 2.0], [0.0, -2.0], [-1.0, 0.0], [1.0, 0.0]]) + 5.0
+        assert align_least_squares(truth, estimate).rotation_rad == pytest.approx(np.pi / 2)
+        assert align_least_squares(truth, estimate).translation_m == pytest.approx([5.0, 5.0])
+        assert ate_rmse_m(estimate, turned(truth, turn) + shift) == pytest.approx(0.5 ** 0.5)
+
+    def test_it_never_scales(self):
+        truth = np.array([[0.0, 0.0], [2.0, 0.0]])
+        assert ate_rmse_m(2.0 * truth, truth) == pytest.approx(1.0)
+
+    def test_it_is_the_same_seen_from_either_side(self):
+        estimate, truth = walk(60), walk(60, seed=1)
+        assert ate_rmse_m(estimate, truth) == pytest.approx(ate_rmse_m(truth, estimate))
+
+    @pytest.mark.parametrize('seed', range(4))
+    def test_no_other_motion_leaves_less(self, seed):
+        rng = np.random.default_rng(seed)
+        truth, estimate = walk(40, seed), walk(40, seed + 9)
+        found = align_least_squares(truth, estimate)
+        others = [align(truth, estimate)] + [
+            Alignment(found.rotation_rad + turn, found.translation_m + shift)
+            for scale in (1.0, 1e-1, 1e-3) for turn, *shift in rng.normal(0.0, scale, (100, 3))]
+        for other in others:
+            off_m = np.hypot(*(estimate - other.apply(truth)).T)
+            assert ate_rmse_m(estimate, truth) <= np.sqrt(np.mean(off_m ** 2)) + 1e-12
+
+    def test_a_flight_that_stands_still_lands_on_its_estimate(self):
+        assert ate_rmse_m(np.full((5, 2), 3.0), np.ones((5, 2))) == pytest.approx(0.0)
 
 
 class TestAssociation:
@@ -191,6 +228,24 @@ class TestAlignment:
 class TestRun:
     """Which poses, which frames and which alignment go into which figure."""
 
+    def test_five_frames_by_hand(self):
+        """
+        The map is 2 m off in the middle as it flies, and 1 m at its end afterwards.
+
+        MAE_L and MAE_M leave the four good frames where they are: 2/5 and 1/5. Least squares moves
+        all by 0.4 m: four errors of 0.4 m and one of 1.6 m. Odometry, 1 m too long at both ends,
+        stays in its middle: 2/5 for both of the paper's figures, sqrt(2/5) for the other.
+        """
+        truth = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [4.0, 0.0]])
+        poses, final, odometry = truth.copy(), truth.copy(), truth.copy()
+        poses[2, 1], final[4, 1] = 2.0, 1.0
+        odometry[[0, 4], 0] = -1.0, 5.0
+        metrics = evaluate_run(result_of(poses, final, odometry), truth_of(truth))
+        assert (metrics.mae_l, metrics.mae_m) == pytest.approx((0.4, 0.2))
+        assert metrics.ate_rmse_m == pytest.approx(((4 * 0.4**2 + 1.6**2) / 5) ** 0.5)
+        assert (metrics.odometry_mae_l, metrics.odometry_mae_m) == pytest.approx((0.4, 0.4))
+        assert metrics.odometry_ate_rmse_m == pytest.approx(0.4 ** 0.5)
+
     def test_online_poses_give_mae_l_final_poses_mae_m_under_the_alignment_of_mae_l(self):
         truth = walk(50)
         poses = turned(truth, 0.7) + [1.0, 2.0]
@@ -214,7 +269,8 @@ class TestRun:
         result = result_of(truth + drift, truth + 0.2 * drift, truth + 2.0 * drift)
         still = evaluate_run(result, truth_of(truth))
         moved = evaluate_run(result, truth_of(turned(truth, 2.1) + [40.0, -9.0]))
-        for name in ('mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m'):
+        for name in ('mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m', 'ate_rmse_m',
+                     'odometry_ate_rmse_m'):
             assert getattr(moved, name) == pytest.approx(getattr(still, name), abs=1e-6)
             assert getattr(still, name) > 0.01
 
@@ -235,8 +291,9 @@ class TestRow:
     """A row says what metrics.json and the table promise."""
 
     keys = ['flight', 'encoder', 'mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m',
-            'threshold', 'threshold_tuned', 'frames', 'view_cells', 'experiences', 'closures',
-            'learning_frames', 'epochs', 'seconds', 'alignment']
+            'ate_rmse_m', 'odometry_ate_rmse_m', 'threshold', 'threshold_tuned', 'frames',
+            'view_cells', 'experiences', 'closures', 'learning_frames', 'epochs',
+            'false_closures', 'alignment']
 
     def test_json_holds_the_promised_keys(self):
         truth = walk(30)
@@ -248,11 +305,18 @@ class TestRow:
         assert list(row['alignment']) == ['rotation_rad', 'translation_m']
         assert row['alignment']['translation_m'] == pytest.approx([1.0, 1.0], abs=1e-5)
 
+    def test_time_stands_apart_as_it_is_another_each_time(self):
+        truth = walk(30)
+        assert row_of(result_of(truth), truth_of(truth)).timing() == {
+            'flight': 'flight_1', 'encoder': 'dlsc_qbs', 'threshold_tuned': False,
+            'encode_ms_per_frame': 2.0, 'map_ms_per_code': 30.0}
+
     def test_json_is_null_without_ground_truth(self):
         row = json.loads(json.dumps(row_of(result_of(walk(30)), []).as_json()))
         assert list(row) == self.keys
         assert [key for key in self.keys if row[key] is None] == [
-            'mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m', 'alignment']
+            'mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m', 'ate_rmse_m',
+            'odometry_ate_rmse_m', 'alignment']
         assert row['frames'] == 30
 
     def test_table_names_every_figure(self):

@@ -35,7 +35,7 @@ def plot_run(path: Path, row: Row, result) -> None:
     figure, axes = new_figure(path, (10.0, 6.5))
     lines = [(result.poses, ONLINE, 'estimate, online'),
              (result.final_poses, FINAL, 'estimate, final map'),
-             (_anchored(result), ODOMETRY, 'odometry alone')]
+             (anchored_odometry(result), ODOMETRY, 'odometry alone')]
     if row.metrics:
         lines.append((row.metrics.truth_m, TRUTH, 'ground truth'))
     lines.append((_closures(result), CLOSURE, f'loop closures ({len(result.closures)})'))
@@ -49,17 +49,25 @@ def plot_run(path: Path, row: Row, result) -> None:
     figure.savefig(path, dpi=150)
 
 
-def new_figure(path: Path, size_inches: tuple[float, float]):
-    """Return a matplotlib figure and its axes, for the picture at a path; raise DlscQbsError."""
+def new_figure(path: Path, size_inches: tuple[float, float], rows: int = 1, columns: int = 1):
+    """
+    Return a matplotlib figure and its axes, an array of them where there are several.
+
+    Raises
+    ------
+    DlscQbsError
+        matplotlib is missing, for the picture at a path.
+
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise DlscQbsError(f'{path}: pictures need matplotlib: {error}') from error
     figure = Figure(figsize=size_inches, layout='constrained')
-    return figure, figure.add_subplot()
+    return figure, figure.subplots(rows, columns)
 
 
-def _anchored(result) -> np.ndarray:
+def anchored_odometry(result) -> np.ndarray:
     """Return the odometry, shape (n, 3), moved to start where the estimate does."""
     start, *_ = poses = [Pose2(*pose) for pose in result.odometry]
     map_T_start = Pose2(*result.poses[0])

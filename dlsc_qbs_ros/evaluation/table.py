@@ -7,6 +7,7 @@ from math import degrees
 from typing import Any, Mapping, Sequence
 
 from .metrics import Metrics
+from .place_recognition import Recognition
 
 
 @dataclass(frozen=True)
@@ -14,9 +15,10 @@ class Row:
     """
     One flight through one encoder.
 
-    `metrics` is None where no frame has ground truth, `threshold` where the encoder uses none.
-    `n_codes` and `counts` are those of the run, `refused` the messages of each topic that the
-    reader refused.
+    `metrics` is None where no frame has ground truth, `threshold`, in the units of the encoder's
+    own measure, where it uses none, `false_closures` where nobody can tell. `n_codes` and
+    `counts` are those of the run, `refused` the messages of each topic that the reader refused;
+    `encode_s` and `map_s` are the wall times of the encoder and of the back end.
     """
 
     flight: str
@@ -24,10 +26,12 @@ class Row:
     metrics: Metrics | None
     threshold: float | None
     threshold_tuned: bool
+    false_closures: int | None
     n_codes: int
     counts: Mapping[str, int]
-    seconds: float
     refused: Mapping[str, int]
+    encode_s: float
+    map_s: float
 
     @property
     def frames(self) -> int:
@@ -35,8 +39,13 @@ class Row:
         return self.metrics.frames if self.metrics else self.n_codes
 
     def as_json(self) -> dict[str, Any]:
-        """Return the row of metrics.json, with None where the flight has no ground truth."""
-        errors = ('mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m')
+        """
+        Return the row of metrics.json, with None where the flight has no ground truth.
+
+        It holds nothing that is another the next time.
+        """
+        errors = ('mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m', 'ate_rmse_m',
+                  'odometry_ate_rmse_m')
         counts = ('view_cells', 'experiences', 'closures', 'learning_frames', 'epochs')
         return {
             'flight': self.flight,
@@ -46,15 +55,52 @@ class Row:
             'threshold_tuned': self.threshold_tuned,
             'frames': self.frames,
             **{name: self.counts[name] for name in counts},
-            'seconds': self.seconds,
+            'false_closures': self.false_closures,
             'alignment': self.metrics and {
                 'rotation_rad': self.metrics.alignment.rotation_rad,
                 'translation_m': self.metrics.alignment.translation_m.tolist()},
         }
 
+    def timing(self) -> dict[str, Any]:
+        """Return the row of timing.json."""
+        return {
+            'flight': self.flight, 'encoder': self.encoder,
+            'threshold_tuned': self.threshold_tuned,
+            'encode_ms_per_frame': 1e3 * self.encode_s / max(self.counts['frames'], 1),
+            'map_ms_per_code': 1e3 * self.map_s / max(self.n_codes, 1)}
+
+
+@dataclass(frozen=True)
+class Run:
+    """A row and the run behind it, a pipeline.runner.RunResult."""
+
+    row: Row
+    result: Any
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """
+    One flight through one encoder, mapped with one mu or several.
+
+    `recognition` is as it flew, `under_last` with all codes under the last dictionary; both are
+    None where no place can be told, and `under_last` where there is no dictionary.
+    """
+
+    runs: list[Run]
+    recognition: Recognition | None
+    under_last: Recognition | None
+
+    def as_json(self, run: Run) -> dict[str, Any]:
+        """Return the row of metrics.json of one of the runs."""
+        return {**run.row.as_json(),
+                'place_recognition': self.recognition and self.recognition.as_json(),
+                'place_recognition_under_last_dictionary':
+                    self.under_last and self.under_last.as_json()}
+
 
 HEADER = ('flight', 'encoder', 'MAE_L | MAE_M [m]', 'odometry [m]', 'threshold', 'frames',
-          'view cells', 'experiences', 'closures')
+          'view cells', 'experiences', 'closures', 'false')
 USUAL_COUNTS = {
     'frames', 'learning_frames', 'epochs', 'view_cells', 'experiences', 'closures',
     'dictionaries', 'code_books', 'codes_received', 'codes_used', 'odometry_accepted',
@@ -90,7 +136,8 @@ def _cells(row: Row) -> tuple[str, ...]:
         _pair(metrics.mae_l, metrics.mae_m) if metrics else '-',
         _pair(metrics.odometry_mae_l, metrics.odometry_mae_m) if metrics else '-',
         threshold + '*' * row.threshold_tuned, str(row.frames),
-        *(str(row.counts[name]) for name in ('view_cells', 'experiences', 'closures')))
+        *(str(row.counts[name]) for name in ('view_cells', 'experiences', 'closures')),
+        '-' if row.false_closures is None else str(row.false_closures))
 
 
 def _pair(localisation_m: float, mapping_m: float) -> str:
