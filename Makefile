@@ -11,7 +11,7 @@ NUMPY126 := scripts/in_environment --numpy126
 BENCH := scripts/in_environment --bench
 PYTEST := python3 -m pytest -n 2 --dist loadfile
 
-.PHONY: demo test build bench table clean lock
+.PHONY: demo test build bench table reproduce clean lock
 
 demo: build
 	$(RUN) python3 -m dlsc_qbs_ros.cli.demo --out demo_output
@@ -30,19 +30,30 @@ build:
 bench: build
 	set -e; for file in $(sort $(wildcard benchmarks/bench_*.py)); do $(BENCH) python3 $$file; done
 
-# The table of the README: three kinds of flight, three seeds of each, one configuration for all.
+# The table of the README: three kinds of flight, three seeds of each, and what makes two of them
+# harder; one configuration for all.
 TABLE := table_output
 SEEDS := 0 1 2
+HARDER := second-altitude reversed-lap pause dimmed twin-aisle
 table: build
 	rm -rf $(TABLE)
 	set -e; for flight in 1 2 3; do for seed in $(SEEDS); do \
 		$(BIN)/simulate --flight $$flight --seed $$seed --encoding mono8 \
 			--out $(TABLE)/flight$${flight}_seed$$seed; \
 	done; done
-	$(BIN)/evaluate $(TABLE)/flight* --encoder dlsc_qbs,dlsc_qbs_paper --out $(TABLE)/rows
+	set -e; for flight in 2 3; do for harder in $(HARDER); do \
+		$(BIN)/simulate --flight $$flight --seed 0 --encoding mono8 --$$harder \
+			--out $(TABLE)/flight$${flight}_$$harder; \
+	done; done
+	$(BIN)/evaluate $(TABLE)/flight* --encoder dlsc_qbs,dlsc_qbs_image,dlsc_qbs_paper,oracle \
+		--jobs 2 --out $(TABLE)/rows
+
+reproduce: build
+	$(BIN)/reproduce --jobs 2 --out reproduce_output
 
 clean:
-	rm -rf build install log .venv .venv-numpy126 .venv-bench .pytest_cache demo_output bench_output $(TABLE)
+	rm -rf build install log .venv .venv-numpy126 .venv-bench .pytest_cache
+	rm -rf demo_output bench_output reproduce_output $(TABLE)
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 lock:
