@@ -195,7 +195,7 @@ class RatSlamConfig(Section):
     min_path_m: float = parameter(
         3.0, 'path flown before an experience can be met again', unit='m', bounds=(0.0, 1e5))
     gate_sigmas: float = parameter(
-        2.0, 'deviations of the odometry within which an old place must lie', bounds=(0.1, 100.0))
+        3.0, 'deviations of the odometry within which an old place must lie', bounds=(0.1, 100.0))
     match_position_sigma_m: float = parameter(
         0.3, 'deviation of the position at which a view is met again', unit='m',
         bounds=(0.001, 100.0))

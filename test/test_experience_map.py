@@ -67,9 +67,21 @@ def test_a_link_keeps_its_ends_its_motion_and_whether_it_closed_a_loop():
 @pytest.mark.parametrize('origin, target', [(0, 1), (1, 0), (1, 1)])
 def test_experiences_that_are_joined_already_are_not_joined_again(origin, target):
     experience_map = graph([(0, 0, 0), (1, 0, 0)], [(0, 1, (1, 0, 0))])
-    experience_map.add_link(origin, target, Pose2(5, 5, 1), True)
+    assert not experience_map.add_link(origin, target, Pose2(5, 5, 1), True)
     assert experience_map.links.tolist() == [[0, 1]]
     assert experience_map.motions.tolist() == [[1, 0, 0]]
+
+
+def test_links_that_are_taken_out_leave_the_others_and_may_come_back():
+    experience_map = graph([(k, 0, 0) for k in range(4)], [
+        (k, k + 1, (1 + k, 0, 0)) for k in range(3)])
+    experience_map.remove_links(np.array([False, True, False]))
+    assert experience_map.links.tolist() == [[0, 1], [2, 3]]
+    assert experience_map.motions[:, 0].tolist() == [1, 3]
+    assert experience_map.is_closure.tolist() == [False, False]
+    assert not experience_map.add_link(1, 0, IDENTITY, True)
+    assert experience_map.add_link(2, 1, IDENTITY, True)
+    assert experience_map.is_closure.tolist() == [False, False, True]
 
 
 def test_experiences_are_numbered_as_they_come_and_keep_their_poses():
@@ -197,4 +209,54 @@ def test_no_steps_move_nothing():
 def test_facings_stay_wrapped():
     experience_map = random_graph(3, noise=1.0)
     experience_map.relax(ENOUGH)
+    assert (np.abs(experience_map.poses[:, 2]) <= pi).all()
+
+
+# Relaxation as published
+
+def test_a_sweep_moves_both_ends_of_a_link_by_half_its_error():
+    """The second is 1 m too far, 0.4 m too far left and turned 0.2 rad too far."""
+    experience_map = graph([(0, 0, 0), (3, 0.4, 0.7)], [(0, 1, (2, 0, 0.5))])
+    experience_map.sweep(1)
+    np.testing.assert_allclose(
+        experience_map.poses, [(0.5, 0.2, 0.1), (2.5, 0.2, 0.6)], atol=1e-12)
+
+
+def test_an_end_of_many_links_moves_by_their_mean():
+    experience_map = graph([(0, 0, 0), (2, 0, 0), (0, 4, 0)], [
+        (0, 1, (1, 0, 0)), (0, 2, (0, 1, 0))])
+    experience_map.sweep(1)
+    np.testing.assert_allclose(
+        experience_map.poses, [(0.25, 0.75, 0), (1.5, 0, 0), (0, 2.5, 0)], atol=1e-12)
+
+
+@pytest.mark.parametrize('n_sweeps', [1, 7])
+@pytest.mark.parametrize('seed', range(3))
+def test_sweeps_are_those_of_ratslam(seed, n_sweeps):
+    experience_map = random_graph(seed)
+    expected = literal_relaxation(experience_map, sweeps=n_sweeps)
+    experience_map.sweep(n_sweeps)
+    np.testing.assert_allclose(experience_map.poses[:, :2], expected[:, :2], atol=1e-9)
+    np.testing.assert_allclose(
+        wrap_angle(experience_map.poses[:, 2] - expected[:, 2]), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_sweeps_and_the_solved_map_end_in_the_same_place(seed):
+    swept, solved = random_graph(seed), random_graph(seed)
+    swept.sweep(4000)
+    solved.relax(ENOUGH)
+    np.testing.assert_allclose(swept.poses[:, :2], solved.poses[:, :2], atol=2e-3)
+
+
+def test_sweeps_leave_a_map_without_contradictions_and_one_without_links():
+    for experience_map in (random_graph(0, noise=0.0), graph([(1, 2, 3)], [])):
+        before = experience_map.poses.copy()
+        experience_map.sweep(20)
+        np.testing.assert_allclose(experience_map.poses, before, atol=1e-9)
+
+
+def test_facings_stay_wrapped_under_sweeps():
+    experience_map = random_graph(3, noise=1.0)
+    experience_map.sweep(50)
     assert (np.abs(experience_map.poses[:, 2]) <= pi).all()

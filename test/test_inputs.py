@@ -1,4 +1,4 @@
-"""A view as one vector or as all its patches, and the code of a frame from those of its patches."""
+"""A view as one vector or as all its patches, and the code of a frame made of theirs."""
 
 import numpy as np
 import pytest

@@ -50,14 +50,23 @@ class ExperienceMap:
         self._poses.append(pose)
         return len(self) - 1
 
-    def add_link(self, origin: int, target: int, motion: Pose2, is_closure: bool) -> None:
-        """Join two experiences by the motion between them, unless they are joined already."""
+    def add_link(self, origin: int, target: int, motion: Pose2, is_closure: bool) -> bool:
+        """Join two experiences by the motion between them; return False if they are already."""
         if origin == target or (origin, target) in self._joined:
-            return
+            return False
         self._joined.update(((origin, target), (target, origin)))
         self._links.append((origin, target))
         self._motions.append(motion)
         self._is_closure.append(is_closure)
+        return True
+
+    def remove_links(self, is_removed: np.ndarray) -> None:
+        """Take out the links so marked, shape (l,), bool; the experiences stay."""
+        for origin, target in self.links[is_removed].tolist():
+            self._joined -= {(origin, target), (target, origin)}
+        self._links, self._motions, self._is_closure = (
+            Rows(rows.values[~is_removed])
+            for rows in (self._links, self._motions, self._is_closure))
 
     def relax(self, n_steps: int) -> None:
         """
@@ -81,6 +90,30 @@ class ExperienceMap:
         predicted = np.column_stack([c * along - s * across, s * along + c * across])
         error = poses[target, :2] - poses[origin, :2] - predicted
         poses[:, :2] -= self._solve(error, n_steps)
+
+    def sweep(self, n_sweeps: int, share: float = 0.5) -> None:
+        """
+        Relax the map as published: each link moves both its ends by a share of its error.
+
+        All links at once, each end by the mean over its links, where RatSLAM takes one link
+        after the other.
+        """
+        if not len(self.links):
+            return
+        origin, target = self.links.T
+        poses, n = self.poses, len(self)
+        degree = np.maximum(np.bincount(self.links.ravel(), minlength=n), 1)
+        for _ in range(n_sweeps):
+            facing = poses[origin, 2]
+            c, s = np.cos(facing), np.sin(facing)
+            along, across, turn = self.motions.T
+            errors = (poses[origin, 0] + c * along - s * across - poses[target, 0],
+                      poses[origin, 1] + s * along + c * across - poses[target, 1],
+                      wrap_angle(facing + turn - poses[target, 2]))
+            for axis, error in enumerate(errors):
+                moved = np.bincount(target, error, n) - np.bincount(origin, error, n)
+                poses[:, axis] += share * moved / degree
+        poses[:, 2] = wrap_angle(poses[:, 2])
 
     def _solve(self, link_errors: np.ndarray, n_steps: int, tolerance: float = 1e-4
                ) -> np.ndarray:

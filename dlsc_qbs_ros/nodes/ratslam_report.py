@@ -60,7 +60,8 @@ class RatSlamReport:
             'pose_rate_hz': new['poses'] / PERIOD_S,
             'latency_ms': latency_ns * 1e-6 / max(new['poses'], 1),
             'experiences': len(graph), 'links': len(graph.links),
-            'closures': int(graph.is_closure.sum())}
+            'closures': int(graph.is_closure.sum()),
+            'closures_undone': self._ratslam.mapper.undone}
         problems = [f'no {missing}' for key, missing in (
             ('odometry_accepted', 'odometry'), ('codes_received', 'codes')) if not new[key]]
         problems += [f'{new[key]} {key.replace("_", " ")}' for key in sorted(new)

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import hypot, inf, sqrt
+from math import hypot, sqrt
 
 import numpy as np
 
+from .journey import Journey, Place
 from ..config import Config
-from ..core.drift import Drift
-from ..core.experience_map import ExperienceMap
 from ..core.geometry import between, compose, invert, wrap_angle
 from ..core.local_view import CentredCells, Cosine, Measure, SequenceScore, ViewCells
 from ..core.pose_cells import PoseCells
 from ..core.rows import Rows
 from ..core.types import IDENTITY, OdometrySample, Pose2
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the robot stands: its pose in the frame of an experience."""
-
-    experience: int
-    offset: Pose2
 
 
 class Mapper:
@@ -32,7 +22,8 @@ class Mapper:
     Views are compared at keyframes, that is after some motion; a hovering drone adds nothing.
     A run of views that is similar enough to a run of old view cells, at a place that the
     odometry allows, activates the old cell; its injections move the pose cells' packet; and
-    when the packet has arrived there, the experience is linked to the old one.
+    when the packet has arrived there, the experience is linked to the old one. As published,
+    each view by itself activates the most similar cell, wherever that is.
     """
 
     # A view without a code, of darkness say, is waited out for so many distances of a keyframe.
@@ -41,25 +32,20 @@ class Mapper:
     def __init__(self, config: Config, measure: Measure | None = None):
         self._config = config.ratslam
         self._pose_cell_config = config.pose_cells
+        self._is_published = config.ratslam.backend == 'published'
         is_centred = measure is None and config.encoder.mode == 'epochs'
         self.view_cells = CentredCells() if is_centred else ViewCells(measure or Cosine())
         self.pose_cells = PoseCells(config.pose_cells)
-        self.map = ExperienceMap()
-        self.drift = Drift(config.odometry)
-        self._sequence = SequenceScore(config.ratslam.sequence_length)
+        self.journey = Journey(config)
+        self.map, self.drift = self.journey.map, self.journey.drift
+        self._sequence = SequenceScore(
+            1 if self._is_published else config.ratslam.sequence_length)
         # Per view cell: where the pose cells stood, and how spent it is.
         self._cell_position = Rows(np.zeros((0, 3)))
         self._cell_decay = Rows(np.zeros(0))
-        # Per experience: its view cell, pose cell position, time and path flown at creation.
+        # Per experience: its view cell and pose cell position.
         self._view_cell = Rows(np.zeros(0, np.int64))
         self._position = Rows(np.zeros((0, 3)))
-        self._born_ns = Rows(np.zeros(0, np.int64))
-        self._born_m = Rows(np.zeros(0))
-        self._time_ns = 0
-        self._path_m = 0.0
-        self.place: Place | None = None
-        # Whether odometry leads from the current experience to here.
-        self._is_joined = False
         self.odometry: OdometrySample | None = None
         self._keyframe: OdometrySample | None = None
         self._active_cell: int | None = None
@@ -93,9 +79,19 @@ class Mapper:
         """Put the view cells' codes (n_cells, n_values) under another dictionary in force."""
         self.view_cells.replace(codes)
 
+    @property
+    def place(self) -> Place | None:
+        """Where the robot stands; None before the first update."""
+        return self.journey.place()
+
     def pose(self) -> Pose2:
         """Return map_T_base at the last update."""
-        return compose(self.map.pose(self.place.experience), self.place.offset)
+        return self.journey.pose()
+
+    @property
+    def undone(self) -> int:
+        """How many runs of matches were taken back."""
+        return self.journey.undone
 
     def map_T_odom(self) -> Pose2:
         """Return the correction of the odometry as the map stands."""
@@ -109,24 +105,22 @@ class Mapper:
         """Carry the place along with the odometry; return the motion since the last code."""
         motion, seconds = IDENTITY, 0.0
         if self.odometry is not None:
-            elapsed_ns = odometry.stamp_ns - self.odometry.stamp_ns
-            self._time_ns += max(elapsed_ns, 0)  # a clock that falls back makes nothing younger
-            if odometry.segment == self.odometry.segment and elapsed_ns >= 0:
+            seconds = (odometry.stamp_ns - self.odometry.stamp_ns) * 1e-9
+            if odometry.segment == self.odometry.segment and seconds >= 0.0:
                 motion = between(self.odometry.pose, odometry.pose)
-                seconds = elapsed_ns * 1e-9
             else:
-                self.drift.anchor(inf, inf)
-                self._is_joined = False
+                self.journey.break_off()
+        seconds = max(seconds, 0.0)  # a clock that falls back makes nothing younger
         self.odometry = odometry
-        self.drift.move(motion, seconds)
-        self._path_m += hypot(motion.x_m, motion.y_m)
-        if self.place is not None:
-            self.place = Place(self.place.experience, compose(self.place.offset, motion))
+        self.journey.move(motion, seconds)
         return motion
 
     def _is_keyframe(self, odometry: OdometrySample, patience: float) -> bool:
+        """Whether the view counts: after some motion; as published, every view does."""
         if self._keyframe is None or self._keyframe.segment != odometry.segment:
             self._sequence.clear()
+            return True
+        if self._is_published:
             return True
         motion = between(self._keyframe.pose, odometry.pose)
         climb = odometry.z_m - self._keyframe.z_m
@@ -156,13 +150,27 @@ class Mapper:
         score = self._sequence.update(similarities)
         if score is None or self.place is None:
             return None
+        if self._is_published:
+            best = int(np.argmax(score))
+            return best if score[best] >= self._config.threshold else None
         distance_m = self._gated_distance()
         # Near by chance is not tracking: odometry must be sure enough to tell.
         is_tracking = self.sigmas()[0] <= self._config.tracking_distance_m
         needed = np.where(is_tracking & (distance_m <= self._config.tracking_distance_m),
                           self._config.tracking_threshold, self._config.threshold)
         candidates = np.flatnonzero(np.isfinite(distance_m) & (score >= needed))
-        return int(candidates[np.argmax(score[candidates])]) if len(candidates) else None
+        if not len(candidates):
+            return None
+        best = int(candidates[np.argmax(score[candidates])])
+        is_jump = needed[best] == self._config.threshold
+        return None if is_jump and self._contradicts(best) else best
+
+    def _contradicts(self, view_cell: int) -> bool:
+        """Whether a match contradicts earlier ones; a run of these that looks wrong goes."""
+        run = self.journey.contradiction(self._nearest_experience(view_cell))
+        if run:
+            self.journey.undo(run)
+        return run is not None
 
     def _gated_distance(self) -> np.ndarray:
         """
@@ -179,8 +187,8 @@ class Mapper:
         allowed = (
             (offset_m <= reach * hypot(sigma_m, self._config.match_position_sigma_m))
             & (turn_rad <= reach * hypot(sigma_rad, self._config.match_yaw_sigma_rad))
-            & (self._time_ns - self._born_ns.values >= self._config.min_age_s * 1e9)
-            & (self._path_m - self._born_m.values >= self._config.min_path_m))
+            & (self.journey.ages() >= (self._config.min_age_s, self._config.min_path_m)
+               ).all(axis=1))
         distance_m = np.full(len(self.view_cells), np.inf)
         np.minimum.at(distance_m, self._view_cell.values[allowed], offset_m[allowed])
         return distance_m
@@ -194,31 +202,27 @@ class Mapper:
             self._meet(int(old[np.argmin(distance)]))
         else:
             self._create(odometry, position)
-        self.map.relax(self._config.relaxation_steps)
+        if self._is_published:
+            self.map.sweep(self._config.relaxation_steps)
+        else:
+            self.map.relax(self._config.relaxation_steps)
 
     def _create(self, odometry: OdometrySample, position: np.ndarray) -> None:
-        pose = odometry.pose if self.place is None else self.pose()
-        experience = self.map.add_experience(pose)
+        self.journey.create(odometry.pose if self.place is None else self.pose())
         self._view_cell.append(self._active_cell)
         self._position.append(position)
-        self._born_ns.append(self._time_ns)
-        self._born_m.append(self._path_m)
-        if self._is_joined:
-            self.map.add_link(self.place.experience, experience, self.place.offset, False)
-        self.place = Place(experience, IDENTITY)
-        self._is_joined = True
 
     def _meet(self, experience: int) -> None:
         """Arrive at an old experience."""
         offset = self._offset_from(experience)
         trust_m, trust_rad = self._trust()
-        if experience != self.place.experience and self._is_joined:
-            motion = compose(self.place.offset, invert(offset))
-            self.map.add_link(self.place.experience, experience, motion, True)
-        self.place = Place(experience, offset)
-        self._is_joined = True
+        is_news = self.journey.meet(experience, offset)
         self.drift.anchor(self._config.match_position_sigma_m * sqrt(1.0 - trust_m),
                           self._config.match_yaw_sigma_rad * sqrt(1.0 - trust_rad))
+        if is_news:
+            run = self.journey.contradiction()
+            if run:
+                self.journey.undo(run)
 
     def _offset_from(self, experience: int) -> Pose2:
         """
@@ -228,7 +232,7 @@ class Mapper:
         variance. The yaw is RatSLAM's relative heading.
         """
         expected = between(self.map.pose(experience), self.pose())
-        trust_m, trust_rad = self._trust()
+        trust_m, trust_rad = (0.0, 0.0) if self._is_published else self._trust()
         return Pose2(trust_m * expected.x_m, trust_m * expected.y_m,
                      trust_rad * expected.yaw_rad)
 

@@ -19,6 +19,7 @@ from ..core.local_view import Measure
 from ..core.types import Code, Dictionary, Frame, OdometrySample, RawOdometry, View
 from ..errors import ImageError, StampError
 
+
 @dataclass(frozen=True)
 class RunResult:
     """
@@ -130,7 +131,8 @@ def _result(ratslam: RatSlam, track: list[tuple], flight: EncodedFlight, seconds
     closures = mapper.map.links[mapper.map.is_closure]
     counts = {**ratslam.counts, **flight.counts,
               'view_cells': len(mapper.view_cells),
-              'experiences': len(mapper.map), 'closures': len(closures)}
+              'experiences': len(mapper.map), 'closures': len(closures),
+              'closures_undone': mapper.undone}
     return RunResult(
         stamps_ns=np.array([odometry.stamp_ns for odometry, _, _ in track], np.int64),
         poses=_poses(pose for _, pose, _ in track),

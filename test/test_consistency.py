@@ -1,0 +1,196 @@
+"""Which closures contradict the rest: against hand-computed cases and literal least squares."""
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from dlsc_qbs_ros.core.consistency import (
+    between_rows, Chain, compose_rows, contradiction, surprises)
+from dlsc_qbs_ros.core.geometry import between, compose, wrap_angle
+from dlsc_qbs_ros.core.types import IDENTITY, Pose2
+
+NO_CALIBRATION = np.zeros(2)
+MATCH = np.array([0.04, 0.04, 0.01])
+
+
+def path(motions, start=IDENTITY):
+    """Return the poses that motions lead through."""
+    poses = [start]
+    for motion in motions:
+        poses.append(compose(poses[-1], Pose2(*motion)))
+    return np.array(poses)
+
+
+def line(n, variance=0.01, guess=None):
+    """Return a chain of n motions of 1 m straight ahead that turns by nothing."""
+    motions = np.tile([1.0, 0.0, 0.0], (n, 1))
+    variances = np.tile([variance, variance, 1e-12], (n, 1))
+    return Chain(path(motions) if guess is None else guess, motions, np.ones(n), variances)
+
+
+def laps(n_laps, seed=0, noise=0.02, bias=0.0, scale=0.0):
+    """Return a chain over laps of a square of 8 m, and the true poses of its nodes."""
+    rng = np.random.default_rng(seed)
+    true = np.array(([(1.0, 0.0, 0.0)] * 8 + [(0.0, 0.0, pi / 2)]) * 4 * n_laps)
+    n = len(true)
+    motions = true + rng.normal(0.0, noise, (n, 3)) + [0.0, 0.0, bias]
+    motions[:, :2] *= 1.0 + scale
+    return Chain(path(motions), motions, np.ones(n), np.full((n, 3), noise ** 2)), path(true)
+
+
+def literal_chi_square(chain, ends, variances, calibration_variances, n_steps=30):
+    """Return the least sum of squares over all unknowns, with derivatives by differences."""
+    n = len(chain.motions)
+    sigmas = np.sqrt(np.concatenate([chain.variances.ravel(), calibration_variances]))
+
+    def residuals(x):
+        noise, (bias, scale) = (x * sigmas)[:-2].reshape(n, 3), (x * sigmas)[-2:]
+        motions = chain.motions + noise
+        half = 0.5 * chain.seconds * bias
+        motions = motions + np.column_stack([
+            half * chain.motions[:, 1] - scale * chain.motions[:, 0],
+            -half * chain.motions[:, 0] - scale * chain.motions[:, 1], -chain.seconds * bias])
+        poses = path(motions)
+        errors = [np.array(between(Pose2(*poses[a]), Pose2(*poses[b]))) for a, b in ends]
+        return np.concatenate([x, (np.array(errors) / np.sqrt(variances)).ravel()])
+
+    x = np.zeros(len(sigmas))
+    for _ in range(n_steps):
+        r = residuals(x)
+        jacobian = np.column_stack([
+            (residuals(x + step) - residuals(x - step)) / 2e-5 for step in 1e-5 * np.eye(len(x))])
+        x = x - np.linalg.lstsq(jacobian, r, rcond=None)[0]
+    return float(np.sum(residuals(x) ** 2))
+
+
+def total(chain, ends, variances, calibration_variances=NO_CALIBRATION):
+    """Return the chi-square of all closures: what falls when all of them go."""
+    return surprises(chain, ends, variances, calibration_variances, np.zeros(len(ends), int))[0]
+
+
+# Hand-computed
+
+def test_a_closure_that_agrees_with_odometry_is_no_surprise():
+    motions = np.array([(2.0, 0.0, pi / 2)] * 4)
+    chain = Chain(path(motions), motions, np.ones(4), np.full((4, 3), 0.01))
+    fall, = surprises(chain, np.array([[0, 4]]), MATCH, NO_CALIBRATION, np.array([0]))
+    assert fall == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_gap_counts_in_deviations_of_the_odometry_and_the_match():
+    """Five motions of variance 0.01 and a match of 0.04; 5 m apart: 25 / 0.09."""
+    fall, = surprises(line(5), np.array([[0, 5]]), MATCH, NO_CALIBRATION, np.array([0]))
+    assert fall == pytest.approx(25.0 / 0.09)
+
+
+def test_the_error_of_the_scale_is_one_for_all_motions():
+    """It adds its variance times the square of the distance: 0.09 + 0.04 * 25."""
+    fall, = surprises(line(5), np.array([[0, 5]]), MATCH, np.array([0.0, 0.04]), np.array([0]))
+    assert fall == pytest.approx(25.0 / 1.09)
+
+
+def test_the_error_of_the_yaw_rate_is_one_for_all_motions():
+    """A robot that turns on the spot by 0.1 rad in each of 4 s: 0.16 / (0.01 + 16 * 0.02)."""
+    motions = np.tile([0.0, 0.0, 0.1], (4, 1))
+    chain = Chain(path(motions), motions, np.ones(4), np.full((4, 3), 1e-12))
+    fall, = surprises(chain, np.array([[0, 4]]), MATCH, np.array([0.02, 0.0]), np.array([0]))
+    assert fall == pytest.approx(0.16 / (0.01 + 0.32))
+
+
+def test_closures_of_separate_stretches_do_not_touch_each_other():
+    ends = np.array([[0, 2], [2, 5]])
+    falls = surprises(line(5), ends, MATCH, NO_CALIBRATION, np.array([0, 1]))
+    assert falls == pytest.approx([4.0 / 0.06, 9.0 / 0.07])
+
+
+# Laws
+
+@pytest.mark.parametrize('calibration', [(0.0, 0.0), (1e-4, 1e-3), (1e-2, 1e-2)])
+def test_chi_square_is_that_of_literal_least_squares(calibration):
+    chain, _ = laps(1, seed=1, bias=0.01)
+    chain = chain._replace(seconds=np.linspace(0.5, 4.0, len(chain.motions)))
+    ends = np.array([[0, 36], [3, 35], [7, 10]])
+    ours = total(chain, ends, MATCH, np.array(calibration))
+    literal = literal_chi_square(chain, ends, MATCH, np.array(calibration))
+    assert ours == pytest.approx(literal, rel=1e-3)
+
+
+def test_a_surprise_is_what_chi_square_falls_by_without_the_run():
+    ends, runs = np.array([[0, 9], [1, 6], [2, 9], [4, 8]]), np.array([0, 0, 1, 2])
+    chain = line(10)
+    falls = surprises(chain, ends, MATCH, np.array([0.0, 1e-3]), runs)
+    everything = total(chain, ends, MATCH, np.array([0.0, 1e-3]))
+    without = [total(chain, ends[runs != run], MATCH, np.array([0.0, 1e-3])) for run in range(3)]
+    assert falls == pytest.approx(everything - np.array(without))
+
+
+def test_where_the_map_lies_and_how_the_closures_are_sorted_says_nothing():
+    chain, _ = laps(2, seed=2)
+    ends, runs = np.array([[0, 36], [2, 38], [9, 45]]), np.array([0, 0, 1])
+    falls = surprises(chain, ends, MATCH, NO_CALIBRATION, runs)
+    moved = chain._replace(poses=compose_rows(np.array([(3.0, -2.0, 2.5)]), chain.poses))
+    assert surprises(moved, ends, MATCH, NO_CALIBRATION, runs) == pytest.approx(falls, rel=1e-6)
+    swapped = surprises(chain, ends[::-1], MATCH, NO_CALIBRATION, 1 - runs[::-1])
+    assert swapped[::-1] == pytest.approx(falls, rel=1e-6)
+
+
+def test_the_first_guess_tells_how_often_the_robot_has_turned():
+    """A yaw error of 0.1 rad/s over 72 s is more than a turn; the guess knows better."""
+    chain, true = laps(2, bias=0.1)
+    chain = chain._replace(poses=true)
+    calibration = np.array([0.01, 1e-6])
+    assert total(chain, np.array([[0, 36], [0, 72]]), MATCH, calibration) < 12.0
+
+
+def test_rows_compose_and_part_as_single_poses_do():
+    a, b = np.random.default_rng(0).uniform(-3.0, 3.0, (2, 5, 3))
+    composed, parted = compose_rows(a, b), between_rows(a, b)
+    for k in range(5):
+        assert composed[k] == pytest.approx(compose(Pose2(*a[k]), Pose2(*b[k])))
+        assert parted[k] == pytest.approx(between(Pose2(*a[k]), Pose2(*b[k])))
+    difference = between_rows(a, composed) - b
+    difference[:, 2] = wrap_angle(difference[:, 2])
+    np.testing.assert_allclose(difference, 0.0, atol=1e-12)
+
+
+# Who is wrong
+
+@pytest.mark.parametrize('gap_m, ends, named', [
+    (1.00, [[0, 1]], None), (1.02, [[0, 1]], 0),
+    (0.72, [[0, 1], [1, 2]], None), (0.73, [[0, 1], [1, 2]], None),
+    (0.75, [[0, 1], [1, 2]], 0)])
+def test_a_run_may_be_a_surprise_of_11_and_1_for_each_more_closure(gap_m, ends, named):
+    """Each gap counts gap^2 / (0.05 + 0.04): 11.1 and 11.6; 11.5, 11.8 and 12.5 for two."""
+    motions = np.tile([gap_m, 0.0, 0.0], (2, 1))
+    chain = Chain(path(motions), motions, np.ones(2), np.tile([0.05, 0.05, 1e-12], (2, 1)))
+    runs = np.zeros(len(ends), int)
+    assert contradiction(chain, np.array(ends), MATCH, NO_CALIBRATION, runs) == named
+
+
+TRUE = [[0, 36], [2, 38], [20, 56], [22, 58], [30, 66]]
+
+
+def verdict(ends, runs, **lap):
+    chain, true = laps(2, **lap)
+    return contradiction(
+        chain._replace(poses=true), np.array(ends), MATCH, np.array([1e-3, 1e-3]),
+        np.array(runs))
+
+
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('errors', [{}, {'bias': 0.02}, {'scale': 0.03}])
+def test_true_closures_stay(seed, errors):
+    assert verdict(TRUE, [0, 0, 1, 1, 2], seed=seed, **errors) is None
+
+
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('wrong', [[7, 63], [20, 62], [12, 46]])
+def test_the_wrong_run_is_named_and_not_those_it_bends(seed, wrong):
+    assert verdict([*TRUE, wrong], [0, 0, 1, 1, 2, 3], seed=seed, bias=0.02) == 3
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_wrong_run_of_many_closures_is_named_by_two_true_runs(seed):
+    wrong = [[3, 43], [4, 44], [5, 45]]
+    assert verdict([*TRUE, *wrong], [0, 0, 1, 1, 2, 3, 3, 3], seed=seed) == 3

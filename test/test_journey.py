@@ -1,0 +1,268 @@
+"""The journey: what visits make of the map, and what remains of those that are taken back."""
+
+from math import inf, pi
+
+import numpy as np
+import pytest
+
+from dlsc_qbs_ros.config import Config
+from dlsc_qbs_ros.core.geometry import between, compose
+from dlsc_qbs_ros.core.types import IDENTITY, Pose2
+from dlsc_qbs_ros.pipeline.journey import Journey
+
+STEP = Pose2(1.0, 0.0, 0.0)
+CORNER = Pose2(1.0, 0.0, pi / 2)
+SQUARE = ([STEP] * 9 + [CORNER]) * 4
+
+
+def journey(motions=(), **changes):
+    """Return a journey that created an experience at the start and after each motion."""
+    made = Journey(Config().override(changes))
+    made.create(IDENTITY)
+    create(made, motions)
+    return made
+
+
+def create(made, motions):
+    for motion in motions:
+        made.move(motion, 1.0)
+        made.create(made.pose())
+
+
+def meet(made, motions, experiences, offset=IDENTITY):
+    """Meet experiences, one after each motion."""
+    for motion, experience in zip(motions, experiences):
+        made.move(motion, 1.0)
+        made.meet(experience, offset)
+
+
+def links(made):
+    return {(a, b): motion for (a, b), motion in zip(
+        made.map.links.tolist(), made.map.motions.tolist())}
+
+
+# Visits
+
+def test_each_visit_is_linked_to_the_one_before_by_what_was_flown():
+    made = journey([STEP, CORNER])
+    meet(made, [STEP], [0], offset=Pose2(0.5, 0.0, 0.0))
+    assert made.map.links.tolist() == [[0, 1], [1, 2], [2, 0]]
+    assert made.map.motions.tolist() == [
+        pytest.approx(STEP), pytest.approx(CORNER), pytest.approx([0.5, 0.0, 0.0])]
+    assert made.map.is_closure.tolist() == [False, False, True]
+
+
+def test_a_place_is_an_experience_and_what_was_flown_since():
+    made = journey([STEP])
+    made.move(Pose2(0.3, 0.0, 0.1), 1.0)
+    place = made.place()
+    assert place.experience == 1
+    assert place.offset == pytest.approx(Pose2(0.3, 0.0, 0.1))
+    assert made.pose() == pytest.approx(Pose2(1.3, 0.0, 0.1))
+
+
+def test_before_the_first_visit_there_is_no_place():
+    assert Journey(Config()).place() is None
+
+
+def test_no_link_spans_a_break_of_the_odometry():
+    made = journey([STEP])
+    made.break_off()
+    create(made, [STEP])
+    assert made.map.links.tolist() == [[0, 1]]
+    assert made.drift.position_sigma_m(inf) == inf
+
+
+def test_the_age_of_an_experience_is_in_seconds_and_in_metres():
+    made = journey([STEP, Pose2(2.0, 0.0, 0.0)])
+    made.move(IDENTITY, 5.0)
+    assert made.ages().tolist() == [[7.0, 3.0], [6.0, 2.0], [5.0, 0.0]]
+
+
+# What is tested
+
+def test_a_long_run_is_tested_ever_more_rarely():
+    made = journey(SQUARE)
+    news = []
+    for experience in range(30):
+        made.move(SQUARE[experience], 1.0)
+        news.append(made.meet(experience + 1, IDENTITY))
+    assert np.flatnonzero(news).tolist() == [0, 3, 6, 12, 24]
+
+
+def test_a_gap_or_a_jump_starts_another_run():
+    made = journey(SQUARE)
+    assert [made.meet(k, IDENTITY) for k in (0, 0, 4)] == [True, False, True]
+    create(made, [STEP] * 4)
+    made.move(STEP, 1.0)
+    assert made.meet(9, IDENTITY)
+
+
+def test_true_closures_contradict_nothing():
+    made = journey(SQUARE)
+    for experience, motion in enumerate(SQUARE):
+        assert made.contradiction(experience) is None
+        if made.meet(experience, IDENTITY):
+            assert made.contradiction() is None
+        made.move(motion, 1.0)
+
+
+def test_a_claim_to_be_elsewhere_is_a_contradiction_by_itself():
+    made = journey([STEP] * 20)
+    assert made.contradiction(0) == 0
+
+
+def test_a_long_way_without_a_visit_may_lead_anywhere_sideways():
+    """Of 20 m in 100 s, half-way a turn of 0.3 rad: 3 m; along the way they would be too much."""
+    def claim(gap):
+        made = journey()
+        made.move(STEP._replace(x_m=10.0), 50.0)
+        made.move(compose(Pose2(-10.0, 0.0, 0.0), gap), 50.0)
+        return made.contradiction(0)
+
+    changes = Pose2(0.0, 3.0, 0.0), Pose2(3.0, 0.0, 0.0)
+    assert [claim(gap) for gap in changes] == [None, 0]
+
+
+def test_after_a_break_any_claim_may_be_true_until_one_is_believed():
+    made = journey(SQUARE)
+    made.break_off()
+    made.move(Pose2(0.5, 0.0, 0.0), 1.0)
+    assert all(made.contradiction(k) is None for k in (5, 25))
+    made.meet(5, IDENTITY)
+    create(made, [STEP] * 4)
+    assert made.contradiction(9) is None
+    assert made.contradiction(25) is not None
+
+
+# What is taken back
+
+def strayed():
+    """Return a journey round a square that then took the second side for the first."""
+    made = journey(SQUARE)
+    create(made, [STEP] * 4)
+    meet(made, [STEP] * 3, [15, 16, 17])
+    create(made, [STEP] * 3)
+    return made
+
+
+def test_a_run_taken_back_leaves_the_map_that_odometry_alone_makes():
+    made = strayed()
+    plain = journey(SQUARE)
+    create(plain, [STEP] * 4)
+    plain.move(compose(compose(STEP, STEP), STEP), 3.0)
+    create(plain, [STEP] * 3)
+    made.undo(1)
+    np.testing.assert_allclose(made.map.poses[:, :2], plain.map.poses[:, :2], atol=1e-9)
+    assert links(made).keys() == links(plain).keys()
+    for pair, motion in links(plain).items():
+        assert links(made)[pair] == pytest.approx(motion)
+    assert made.pose() == pytest.approx(plain.pose())
+    assert made.undone == 1
+
+
+def test_a_run_taken_back_while_it_lasts_puts_the_robot_back():
+    made = journey(SQUARE)
+    create(made, [STEP] * 4)
+    before, drift = made.pose(), made.drift.position_sigma_m(inf)
+    meet(made, [STEP] * 3, [15, 16, 17])
+    made.undo(1)
+    assert between(before, made.pose()) == pytest.approx(Pose2(3.0, 0.0, 0.0))
+    assert made.drift.position_sigma_m(inf) > drift
+    assert not made.map.is_closure.any()
+
+
+def test_a_place_of_the_past_goes_where_the_robot_truly_was():
+    made = journey(SQUARE)
+    meet(made, [STEP], [15])
+    made.move(STEP, 1.0)
+    place = made.place()
+    assert place.experience == 15
+    made.undo(1)
+    assert place.experience == 40
+    assert place.offset == pytest.approx(Pose2(2.0, 0.0, 0.0))
+
+
+def test_what_comes_after_a_run_taken_back_is_another_run():
+    made = journey(SQUARE)
+    meet(made, [STEP] * 2, [15, 16])
+    made.undo(1)
+    made.move(STEP, 1.0)
+    assert made.meet(3, IDENTITY)
+
+
+def test_what_was_created_during_and_after_a_wrong_run_moves_along():
+    made = journey(SQUARE)
+    create(made, [STEP])
+    meet(made, [STEP], [15])
+    create(made, [STEP])
+    meet(made, [STEP], [17])
+    create(made, [STEP, CORNER, STEP])
+    made.undo(1)
+    np.testing.assert_allclose(
+        made.map.poses[-5:, :2], [(1, 0), (3, 0), (5, 0), (6, 0), (6, 1)], atol=1e-9)
+    assert {(40, 41), (41, 42), (42, 43), (43, 44), (44, 45)} <= links(made).keys()
+    assert not made.map.is_closure.any()
+
+
+def test_other_runs_stay_as_they_are():
+    made = strayed()
+    meet(made, [STEP], [12])
+    create(made, [STEP] * 4)
+    after = links(made)
+    made.undo(1)
+    kept = {pair: motion for pair, motion in links(made).items() if pair in after}
+    assert (47, 12) in kept and (12, 48) in kept
+    assert all(after[pair] == pytest.approx(motion) for pair, motion in kept.items())
+
+
+def entering(askew_m):
+    """Return a journey that comes back to the start, at first as if it were farther on."""
+    made = journey(SQUARE)
+    create(made, [Pose2(0.5, 0.0, 0.0)])
+    meet(made, [Pose2(0.5, 0.0, 0.0)], [1], offset=Pose2(askew_m, 0.0, 0.0))
+    meet(made, [STEP] * 3, [2, 3, 4])
+    return made
+
+
+def test_the_start_of_a_run_goes_when_the_run_itself_says_it_was_elsewhere():
+    made = entering(0.7)
+    assert made.undone == 0
+    assert (41, 1) not in links(made)
+    assert links(made)[41, 4] == pytest.approx(Pose2(3.5, 0.0, 0.0))
+    assert made.pose() == pytest.approx(Pose2(4.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_the_start_of_a_run_stays_when_it_is_off_by_as_much_as_a_match_is():
+    made = entering(0.5)
+    assert links(made)[41, 1] == pytest.approx(Pose2(0.0, 0.0, 0.0))
+    assert (41, 4) not in links(made)
+
+
+def test_links_that_a_wrong_run_repeats_are_not_lost():
+    """The run goes from 15 to 16, which were joined when they were created."""
+    made = strayed()
+    made.undo(1)
+    assert {(15, 16), (16, 17)} <= links(made).keys()
+
+
+def test_the_wrong_run_is_found_when_the_right_place_is_met():
+    """A side taken for another, 3 m off and 30 s old, is no contradiction until a corner comes."""
+    made = journey(SQUARE, **{
+        'odometry.yaw_bias_rad_s': 0.02, 'ratslam.match_position_sigma_m': 0.1})
+    meet(made, [STEP], [3])
+    assert made.contradiction() is None
+    create(made, [STEP] * 3)
+    run = made.contradiction(4)
+    assert run == 1
+    made.undo(run)
+    assert made.contradiction(4) is None
+    assert made.pose() == pytest.approx(Pose2(4.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_drift_after_a_break_is_not_better_known_for_a_run_taken_back():
+    made = journey(SQUARE)
+    made.break_off()
+    meet(made, [STEP], [15])
+    made.undo(1)
+    assert made.drift.position_sigma_m(inf) == inf
