@@ -45,7 +45,7 @@ table: build
 		$(BIN)/simulate --flight $$flight --seed 0 --encoding mono8 --$$harder \
 			--out $(TABLE)/flight$${flight}_$$harder; \
 	done; done
-	$(BIN)/evaluate $(TABLE)/flight* --encoder dlsc_qbs,dlsc_qbs_image,dlsc_qbs_paper,oracle \
+	$(BIN)/evaluate $(TABLE)/flight* --encoder dlsc_qbs,dlsc_qbs_paper,oracle \
 		--jobs 2 --out $(TABLE)/rows
 
 reproduce: build
