@@ -98,16 +98,21 @@ class PixelInputs:
         else, as in the paper, are pixels in [0, 1].
         """
         self.pixels = np.ascontiguousarray(views).reshape(len(views), -1)
-        self._values: np.ndarray | None = None
         n = self.pixels.shape[1]
+        # What the moments are taken of, without the kernel, is all but the values.
+        self._values = None if kernel.LIBRARY else np.empty(self.pixels.shape, np.float32)
         self.affine, self.squared_norms = np.empty((len(views), 3)), np.empty(len(views))
         for i, pixels in enumerate(self.pixels):
-            total, variance = moments_of(pixels)
+            total, variance = self._moments(i)
             mean = total / n if standardise else 0.0
             contrast = max(sqrt(variance), MIN_CONTRAST) / DEVIATION if standardise else 255.0
             factor = input_scale(n) / contrast
             self.affine[i] = factor, mean, total
             self.squared_norms[i] = factor * factor * n * (variance + (total / n - mean) ** 2)
+            if self._values is not None:
+                if not standardise:
+                    self._values[i] = pixels
+                self._values[i] *= np.float32(factor)
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -119,16 +124,15 @@ class PixelInputs:
             self._values *= factors
         return self._values
 
-
-def moments_of(pixels: np.ndarray) -> tuple[float, float]:
-    """Return the sum of pixels (n,), uint8, and their variance."""
-    n = len(pixels)
-    if kernel.LIBRARY is not None:
-        total, squares = kernel.sum_pixels(pixels)
-        return total, max(squares / n - (total / n) ** 2, 0.0)
-    total = int(pixels.sum(dtype=np.uint32))
-    centred = pixels - np.float32(total / n)
-    return total, float(np.dot(centred, centred)) / n
+    def _moments(self, i: int) -> tuple[float, float]:
+        """Return sum and variance of a view's pixels; without the kernel, centre its values."""
+        pixels, n = self.pixels[i], self.pixels.shape[1]
+        if self._values is None:
+            total, squares = kernel.sum_pixels(pixels)
+            return total, max(squares / n - (total / n) ** 2, 0.0)
+        total, values = int(pixels.sum(dtype=np.uint32)), self._values[i]
+        np.subtract(pixels, np.float32(total / n), out=values)
+        return total, float(np.dot(values, values)) / n
 
 
 def view_to_inputs(views: np.ndarray, standardise: bool) -> np.ndarray:
