@@ -137,7 +137,7 @@ _PATCHES = {'encoder.input': 'patches', **_QBS}
 METHODS = {method.name: method for method in (
     Method('odometry', 'odometry alone', grid=(), make=_blind),
     Method('oracle', 'true revisits, from ground truth: the ceiling of the back end',
-           threshold=0.5, tracking_gap=0.2, grid=_grid(0.2, 0.8), make=_oracle),
+           threshold=0.3, tracking_gap=0.15, grid=_grid(0.15, 0.75), make=_oracle),
     Method('ratslam', 'raw template, sum of absolute differences over horizontal shifts',
            threshold=0.06, tracking_gap=0.03, grid=_grid(0.01, 0.13), make=_by(RawTemplate)),
     Method('orb', 'ORB features, ratio test, 1 - N_m / max_m',
