@@ -5,9 +5,8 @@ from math import pi
 import numpy as np
 import pytest
 
-from dlsc_qbs_ros.core.consistency import (
-    between_rows, Chain, compose_rows, contradiction, surprises)
-from dlsc_qbs_ros.core.geometry import between, compose, wrap_angle
+from dlsc_qbs_ros.core.consistency import Chain, contradiction, surprises
+from dlsc_qbs_ros.core.geometry import between, between_rows, compose, compose_rows, wrap_angle
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
 NO_CALIBRATION = np.zeros(2)

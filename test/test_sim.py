@@ -3,6 +3,7 @@
 from itertools import islice
 from math import cos, pi, sin, tan
 
+from hall import assert_clear_of_walls_and_shelves
 import numpy as np
 import pytest
 
@@ -99,15 +100,7 @@ def test_a_default_flight_makes_at_least_three_laps(number):
 
 @pytest.mark.parametrize('number', FLIGHTS)
 def test_the_drone_keeps_clear_of_walls_and_shelves(number):
-    x, y = whole_path(number).T
-    clear_m = 0.5
-    assert x.min() > clear_m and x.max() < world.HALL_M[0] - clear_m
-    assert y.min() > clear_m and y.max() < world.HALL_M[1] - clear_m
-    west, east = world.SHELF_X_M
-    for south, north in world.SHELF_Y_M:
-        outside_m = np.hypot(np.maximum.reduce((west - x, x - east, 0 * x)),
-                             np.maximum.reduce((south - y, y - north, 0 * y)))
-        assert outside_m.min() > clear_m
+    assert_clear_of_walls_and_shelves(*whole_path(number).T)
 
 
 def test_flight_1_flies_along_the_walls_2_between_the_shelves_and_3_both():

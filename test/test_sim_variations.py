@@ -3,6 +3,7 @@
 from dataclasses import replace
 from math import pi
 
+from hall import assert_clear_of_walls_and_shelves
 import numpy as np
 import pytest
 
@@ -256,15 +257,7 @@ def test_a_twin_aisle_is_paint_alone():
 
 @pytest.mark.parametrize('number', FLIGHTS)
 def test_a_varied_flight_keeps_clear_of_walls_and_shelves(number):
-    x, y = flown(number, ALL)[1][:, :2].T
-    clear_m = 0.5
-    assert x.min() > clear_m and x.max() < world.HALL_M[0] - clear_m
-    assert y.min() > clear_m and y.max() < world.HALL_M[1] - clear_m
-    west, east = world.SHELF_X_M
-    for south, north in world.SHELF_Y_M:
-        outside_m = np.hypot(np.maximum.reduce((west - x, x - east, 0 * x)),
-                             np.maximum.reduce((south - y, y - north, 0 * y)))
-        assert outside_m.min() > clear_m
+    assert_clear_of_walls_and_shelves(*flown(number, ALL)[1][:, :2].T)
 
 
 @pytest.mark.parametrize('number', FLIGHTS)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .geometry import wrap_angle
+from .geometry import between_rows, wrap_angle
 
 # One in a hundred true closures is as much of a surprise: chi-square of 3 degrees of freedom.
 SURPRISE = 11.3
@@ -99,21 +99,6 @@ def surprises(chain: Chain, ends: np.ndarray, variances: np.ndarray,
     row_runs = np.repeat(runs, 3)
     return np.array([_fall(multipliers[mine], information[np.ix_(mine, mine)])
                      for mine in (row_runs == run for run in range(runs.max() + 1))])
-
-
-def compose_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return poses b, given in the frames of poses a, in the frame of these; both (n, 3)."""
-    x, y, turn = b.T
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    return np.column_stack([
-        a[:, 0] + c * x - s * y, a[:, 1] + s * x + c * y, wrap_angle(a[:, 2] + turn)])
-
-
-def between_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return poses b in the frames of poses a; both (n, 3)."""
-    dx, dy, turn = (b - a).T
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    return np.column_stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(turn)])
 
 
 def _fall(multipliers: np.ndarray, information: np.ndarray) -> float:

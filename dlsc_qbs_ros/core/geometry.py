@@ -37,6 +37,21 @@ def between(w_T_a: Pose2, w_T_b: Pose2) -> Pose2:
     return compose(invert(w_T_a), w_T_b)
 
 
+def compose_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return poses b, given in the frames of poses a, in the frame of these; both (n, 3)."""
+    x, y, turn = b.T
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    return np.column_stack([
+        a[:, 0] + c * x - s * y, a[:, 1] + s * x + c * y, wrap_angle(a[:, 2] + turn)])
+
+
+def between_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return poses b in the frames of poses a; both (n, 3)."""
+    dx, dy, turn = (b - a).T
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    return np.column_stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(turn)])
+
+
 def interpolate(a: Pose2, b: Pose2, fraction: float) -> Pose2:
     """Return the pose at `fraction` of the way from a (0) to b (1), the shorter way round."""
     return Pose2(

@@ -9,10 +9,10 @@ from math import hypot, inf
 import numpy as np
 
 from ..config import Config
-from ..core.consistency import between_rows, Chain, compose_rows, contradiction
+from ..core.consistency import Chain, contradiction
 from ..core.drift import Drift
 from ..core.experience_map import ExperienceMap
-from ..core.geometry import between, compose, invert
+from ..core.geometry import between, between_rows, compose, compose_rows, invert
 from ..core.rows import Rows
 from ..core.types import IDENTITY, Pose2
 
