@@ -123,7 +123,8 @@ class DictionaryLearner(Learner):
         self._b, self.codes_, self._gradient, beyond = infer(
             self._products, self._live.mix[:, :self._n_rows], self.codes_, self.gram_,
             self._config.eta_c, self._config.lambda_1, self._config.n_coding)
-        return (self._rows.squared_norm(inputs) + beyond) / len(inputs)
+        self._among = self._rows.gram(inputs)
+        return (float(self._among.trace()) + beyond) / len(inputs)
 
     def learn(self, inputs: np.ndarray | PixelInputs) -> None:
         """
@@ -140,9 +141,9 @@ class DictionaryLearner(Learner):
         relations = [(self._live, self.snapshot_products_)]
         if self._next is not None:
             relations.append((self._next.live, self._next.products(self._products)))
-        kept, among = self._rows.keep(inputs), self._rows.gram(inputs)
+        kept = self._rows.keep(inputs)
         for _ in range(self._config.n_learning):
-            input_residuals = b @ codes.T - among
+            input_residuals = b @ codes.T - self._among
             residuals = gradient @ codes.T - input_residuals
             for relation, products in relations:
                 relation.learn(codes, products, kept, rate)

@@ -107,14 +107,6 @@ class PlaneProjection(Projection):
         to_front(self._kept, slots)
         to_front(self._affine, slots)
 
-    def gram(self, inputs: PixelInputs) -> np.ndarray:
-        """Return the products of inputs with each other (n, n), float64."""
-        return inputs.squared_norms[None] if len(inputs) == 1 else super().gram(inputs)
-
-    def squared_norm(self, inputs: PixelInputs) -> float:
-        """Return the sum of the squares of inputs."""
-        return float(inputs.squared_norms.sum())
-
     def combine(self, weights: np.ndarray, start: int, stop: int
                 ) -> Iterator[tuple[slice, np.ndarray]]:
         """Yield columns of weights (m, n_atoms + n_kept) @ rows, float32, until the next ones."""

@@ -18,7 +18,7 @@ REGULAR = 1e-8
 
 def soft_threshold(x: np.ndarray, threshold: float) -> np.ndarray:
     """Return the proximal operator of threshold * ||x||_1 (paper, eq. proxop)."""
-    return x - np.clip(x, -threshold, threshold)
+    return x - x.clip(-threshold, threshold)
 
 
 def proximal_steps(codes: np.ndarray, b: np.ndarray, gram: np.ndarray, eta_c: float,
