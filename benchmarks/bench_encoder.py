@@ -24,7 +24,7 @@ from dlsc_qbs_ros.core import kernel
 from dlsc_qbs_ros.core.local_view import Cosine, SequenceScore, ViewCells
 from dlsc_qbs_ros.core.preprocessing import make_view, view_to_inputs
 from dlsc_qbs_ros.core.types import Frame
-from dlsc_qbs_ros.pipeline.code_book import CodeBook, InlineExecutor
+from dlsc_qbs_ros.pipeline.coder import Coder
 from dlsc_qbs_ros.pipeline.encoder import Encoded, Encoder
 from dlsc_qbs_ros.sim.simulation import simulate_flight
 from encoder_cases import (
@@ -136,17 +136,16 @@ def growth(frames: list[Frame], config: Config) -> list[dict]:
 
 
 def stored_views(frames: list[Frame], floor_s: float) -> list[dict]:
-    """Return the lines of the code book: one match of a code, one whole re-encoding."""
+    """Return the lines of stored views: one match of a code, one whole re-encoding."""
     config = with_view(43, 32)
     encoded = list(map(Encoder(config).process, frames))
     dictionary = [one.dictionary for one in encoded if one.dictionary][-1]
     table = []
     for n_views in STORED:
-        book = CodeBook(config, InlineExecutor())
-        for i in range(n_views):
-            book.add_view(encoded[i % len(encoded)].view.pixels)
-        reencoding = [[(timed(book.add_dictionary, dictionary)[0], '')] for _ in range(PASSES)]
-        codes = book.swap(dictionary.stamp_ns)
+        views = [encoded[i % len(encoded)].view.pixels for i in range(n_views)]
+        coder = Coder(dictionary, config)
+        reencoding = [[(timed(coder.encode_views, views)[0], '')] for _ in range(PASSES)]
+        codes = coder.encode_views(views)
         matching = [matches(codes, config) for _ in range(PASSES)]
         table += [row(f'match_{n_views}_views', over_passes(matching), floor_s),
                   row(f'reencode_{n_views}_views', over_passes(reencoding), floor_s)]

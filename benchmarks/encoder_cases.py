@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any, Callable
 
 import cv2
-from dlsc_qbs_ros.config import Config, load_profile
+from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core import kernel
 from dlsc_qbs_ros.core.dictionary import DictionaryLearner
 from dlsc_qbs_ros.core.sparse_coding import soft_threshold
 from dlsc_qbs_ros.core.surprise import SurpriseGate
 from dlsc_qbs_ros.core.types import Frame
 from dlsc_qbs_ros.pipeline.encoder import Encoded, Encoder
+from dlsc_qbs_ros.profiles import load_profile
 import numpy as np
 from vgg11 import to_blob, vgg11
 

@@ -16,10 +16,11 @@ import sys
 import time
 from typing import Iterator
 
-from dlsc_qbs_ros.config import Config, load_profile, ViewConfig
+from dlsc_qbs_ros.config import Config, ViewConfig
 from dlsc_qbs_ros.core.preprocessing import make_view
 from dlsc_qbs_ros.core.types import Frame
 from dlsc_qbs_ros.pipeline.encoder import Encoder
+from dlsc_qbs_ros.profiles import load_profile
 from dlsc_qbs_ros.sim.simulation import IMAGE_PERIOD_NS, simulate_flight
 import numpy as np
 

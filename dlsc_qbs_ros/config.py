@@ -7,50 +7,11 @@ A dataclass field here is a ROS parameter (`section.name`), a key of a YAML prof
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
-import math
-from pathlib import Path
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Iterator, Mapping
 
-import yaml
-
+from .declaration import parameter, Section
 from .errors import ConfigError
-
-
-def parameter(default, meaning: str, *, unit: str = '', bounds: tuple = (), choices: tuple = ()):
-    """Declare one parameter: inclusive `bounds` for numbers, `choices` for words."""
-    return field(default=default, metadata={
-        'meaning': meaning, 'unit': unit, 'bounds': bounds, 'choices': choices})
-
-
-class Section:
-    """A group of parameters; values are checked, and integers widened, on construction."""
-
-    def __post_init__(self):
-        for spec in fields(self):
-            value = _checked(f'{type(self).name}.{spec.name}', getattr(self, spec.name), spec)
-            object.__setattr__(self, spec.name, value)
-
-
-def _checked(name: str, value: Any, spec) -> Any:
-    """Return the value as the field's own type, or raise ConfigError with value and bound."""
-    wanted = type(spec.default)
-    if wanted is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if wanted is tuple and isinstance(value, list):
-        value = tuple(value)
-    if type(value) is not wanted:
-        raise ConfigError(f'{name} = {value!r}: expected {wanted.__name__}')
-    if wanted is tuple and not all(isinstance(item, str) for item in value):
-        raise ConfigError(f'{name} = {list(value)!r}: expected a list of strings')
-    choices, bounds = spec.metadata['choices'], spec.metadata['bounds']
-    if choices and value not in choices:
-        raise ConfigError(f'{name} = {value!r}: expected one of {", ".join(choices)}')
-    if wanted is float and not math.isfinite(value):
-        raise ConfigError(f'{name} = {value}: expected a finite number')
-    if bounds and not bounds[0] <= value <= bounds[1]:
-        raise ConfigError(f'{name} = {value}: expected a value in [{bounds[0]}, {bounds[1]}]')
-    return value
 
 
 @dataclass(frozen=True)
@@ -58,6 +19,7 @@ class ImageConfig(Section):
     """How images reach the encoder."""
 
     name = 'image'
+    fixed_by = 'the subscription is made with it'
 
     compressed: bool = parameter(
         False, 'subscribe to sensor_msgs/CompressedImage instead of sensor_msgs/Image')
@@ -68,6 +30,7 @@ class ViewConfig(Section):
     """The view: the cropped, resized grey image that a code is made of."""
 
     name = 'view'
+    fixed_by = 'codes made with another could not be compared'
 
     width: int = parameter(43, 'width of the view', unit='px', bounds=(4, 4096))
     height: int = parameter(32, 'height of the view', unit='px', bounds=(4, 4096))
@@ -91,6 +54,7 @@ class EncoderConfig(Section):
     """DLSC-QBS (Algorithm 1) with the paper's SLAM parameters."""
 
     name = 'encoder'
+    fixed_by = 'codes made with another could not be compared'
 
     input: str = parameter(
         'patches', 'what is coded: the whole view as one vector, as in the paper, or all its '
@@ -127,6 +91,7 @@ class PatchesConfig(Section):
     """What is different for patches: atoms of length 1, codes from zero, step 1 / lambda_max."""
 
     name = 'patches'
+    fixed_by = 'codes made with another could not be compared'
 
     size: int = parameter(5, 'edge of a patch', unit='px', bounds=(2, 32))
     n_learned: int = parameter(
@@ -142,23 +107,52 @@ class OdometryConfig(Section):
     """Where odometry comes from and what is believed of it."""
 
     name = 'odometry'
+    fixed_by = 'the source is opened with it'
 
-    source: str = parameter('nav_msgs', 'the odometry source', choices=('nav_msgs',))
+    source: str = parameter(
+        'nav_msgs', 'the odometry source: a topic, or the link to an autopilot',
+        choices=('nav_msgs', 'mavlink'))
     use_twist: bool = parameter(
         False, 'integrate the recorded twist instead of differencing poses')
     max_gap_s: float = parameter(
         2.0, 'with use_twist, a longer silence starts a new segment', unit='s',
-        bounds=(0.01, 3600.0))
+        bounds=(0.01, 3600.0), live=True)
     max_speed_m_s: float = parameter(
         50.0, 'a faster step is a jump and starts a new segment', unit='m/s',
-        bounds=(0.1, 1000.0))
+        bounds=(0.1, 1000.0), live=True)
     translation_drift: float = parameter(
-        0.03, 'deviation of the distance flown, per metre', unit='m/m', bounds=(0.0, 1.0))
+        0.03, 'deviation of the distance flown, per metre', unit='m/m', bounds=(0.0, 1.0),
+        live=True)
     yaw_bias_rad_s: float = parameter(
-        0.012, 'deviation of a constant error of the yaw rate', unit='rad/s', bounds=(0.0, 1.0))
+        0.012, 'deviation of a constant error of the yaw rate', unit='rad/s', bounds=(0.0, 1.0),
+        live=True)
     yaw_noise: float = parameter(
         0.03, 'deviation of the heading after one second of random walk', unit='rad/sqrt(s)',
-        bounds=(0.0, 1.0))
+        bounds=(0.0, 1.0), live=True)
+
+
+@dataclass(frozen=True)
+class MavlinkConfig(Section):
+    """The link to the autopilot, where odometry comes from it."""
+
+    name = 'mavlink'
+    fixed_by = 'the link is opened with it'
+
+    connection: str = parameter(
+        'udpin:0.0.0.0:14540', 'udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, '
+        '/dev/DEVICE:BAUD or a recording, FILE.tlog')
+    system: int = parameter(
+        0, 'system id of the autopilot; 0: the first that is heard', bounds=(0, 255))
+    component: int = parameter(
+        1, 'component id of the autopilot; 0: the first that is heard', bounds=(0, 255))
+    rate_hz: float = parameter(
+        30.0, 'rate at which odometry is asked for', unit='Hz', bounds=(4.0, 1000.0))
+    key_file: str = parameter(
+        '', 'key to sign with: 32 bytes, 64 hex digits or a passphrase; empty: unsigned')
+    vision_output: bool = parameter(
+        False, 'send the pose in the map back to the autopilot, as ODOMETRY in LOCAL_FRD')
+    vision_rate_hz: float = parameter(
+        10.0, 'rate of these poses, within that of odometry', unit='Hz', bounds=(4.0, 100.0))
 
 
 @dataclass(frozen=True)
@@ -166,44 +160,61 @@ class RatSlamConfig(Section):
     """When a place is an old one, and what follows from it."""
 
     name = 'ratslam'
+    fixed_by = 'the map is built with it'
 
     sample_period_s: float = parameter(
-        0.1, 'time between the codes that are used', unit='s', bounds=(0.001, 60.0))
+        0.1, 'time between the codes that are used', unit='s', bounds=(0.001, 60.0), live=True)
     max_wait_s: float = parameter(
         0.2, 'longest wait for a late code, view, dictionary or odometry', unit='s',
-        bounds=(0.0, 60.0))
+        bounds=(0.0, 60.0), live=True)
     map_frame: str = parameter('map', 'frame_id of the map')
-    publish_tf: bool = parameter(True, 'publish map to odom on /tf')
+    map_file: str = parameter(
+        '', 'file that the map is saved to and loaded from, at the start if it is there; empty: '
+        'none', live=True)
+    mode: str = parameter(
+        'mapping', 'what the node starts with: mapping, going on in map_file where it is there; '
+        'localization: in map_file, which stays as it is', choices=('mapping', 'localization'))
+    autosave_s: float = parameter(
+        0.0, 'time between saves of a map that grows, beside the one at the end; 0: none',
+        unit='s', bounds=(0.0, 86400.0), live=True)
+    publish_tf: bool = parameter(True, 'publish map to odom on /tf', live=True)
     keyframe_distance_m: float = parameter(
-        0.25, 'distance after which a view is compared or stored', unit='m', bounds=(0.001, 1e3))
+        0.25, 'distance after which a view is compared or stored', unit='m', bounds=(0.001, 1e3),
+        live=True)
     keyframe_angle_rad: float = parameter(
-        0.2, 'turn after which a view is compared or stored', unit='rad', bounds=(0.001, 6.3))
+        0.2, 'turn after which a view is compared or stored', unit='rad', bounds=(0.001, 6.3),
+        live=True)
     backend: str = parameter(
         'sequences', 'sequences: runs of views within the drift of the odometry make closures, '
         'the map is solved; published: RatSLAM as published, single views and its relaxation',
         choices=('sequences', 'published'))
     threshold: float = parameter(
-        0.8, 'similarity mu from which a run of views is an old place', bounds=(-1.0, 1.0))
+        0.8, 'similarity mu from which a run of views is an old place', bounds=(-1.0, 1.0),
+        live=True)
     tracking_threshold: float = parameter(
-        0.6, 'the same while the old place is where odometry expects it', bounds=(-1.0, 1.0))
+        0.6, 'the same while the old place is where odometry expects it', bounds=(-1.0, 1.0),
+        live=True)
     tracking_distance_m: float = parameter(
-        1.0, 'largest correction that counts as tracking', unit='m', bounds=(0.0, 1e3))
+        1.0, 'largest correction that counts as tracking', unit='m', bounds=(0.0, 1e3), live=True)
     sequence_length: int = parameter(
         14, 'views in a row that are compared as one', unit='views', bounds=(1, 200))
     min_age_s: float = parameter(
-        10.0, 'age of an experience before it can be met again', unit='s', bounds=(0.0, 1e5))
+        10.0, 'age of an experience before it can be met again', unit='s', bounds=(0.0, 1e5),
+        live=True)
     min_path_m: float = parameter(
-        3.0, 'path flown before an experience can be met again', unit='m', bounds=(0.0, 1e5))
+        3.0, 'path flown before an experience can be met again', unit='m', bounds=(0.0, 1e5),
+        live=True)
     gate_sigmas: float = parameter(
-        3.0, 'deviations of the odometry within which an old place must lie', bounds=(0.1, 100.0))
+        3.0, 'deviations of the odometry within which an old place must lie', bounds=(0.1, 100.0),
+        live=True)
     match_position_sigma_m: float = parameter(
         0.3, 'deviation of the position at which a view is met again', unit='m',
-        bounds=(0.001, 100.0))
+        bounds=(0.001, 100.0), live=True)
     match_yaw_sigma_rad: float = parameter(
         0.1, 'deviation of the heading at which a view is met again', unit='rad',
-        bounds=(0.001, 6.3))
+        bounds=(0.001, 6.3), live=True)
     relaxation_steps: int = parameter(
-        100, 'steps of the relaxation per experience event', bounds=(0, 10000))
+        100, 'most steps of the relaxation per experience event', bounds=(0, 10000), live=True)
 
 
 @dataclass(frozen=True)
@@ -211,6 +222,7 @@ class PoseCellsConfig(Section):
     """The continuous attractor network."""
 
     name = 'pose_cells'
+    fixed_by = 'the network is built with it'
 
     size_xy: int = parameter(21, 'cells along x and y', bounds=(8, 200))
     cell_size_m: float = parameter(1.0, 'edge of a cell', unit='m', bounds=(0.001, 1e3))
@@ -230,10 +242,46 @@ class RecorderConfig(Section):
     """What the recorder writes."""
 
     name = 'recorder'
+    fixed_by = 'the recording is opened with it'
 
     topics: tuple = parameter((), 'topics to record; none and no regex: all topics')
     regex: str = parameter('', 'record topics whose whole name this expression matches')
+    exclude_regex: str = parameter('', 'never topics whose whole name this expression matches')
+    exclude_topics: tuple = parameter((), 'topics never to record')
+    include_hidden_topics: bool = parameter(
+        False, 'without a choice, record those with a name that starts with _ too')
+    qos_profile_overrides_path: str = parameter(
+        '', "YAML file of profiles, topic by topic, as rosbag2's, in place of the adapted ones")
+    start_paused: bool = parameter(False, 'record nothing before ~/resume is called')
     output: str = parameter('', 'folder of the recording; empty: recording_<date>')
+    flush_interval_s: float = parameter(
+        0.1, 'a message is in the file, safe from a crash of this process, after so long',
+        unit='s', bounds=(0.001, 60.0))
+    sync_interval_s: float = parameter(
+        1.0, 'what was written is on the medium, safe from a power cut, after so long; '
+        '0: when the system sees fit', unit='s', bounds=(0.0, 3600.0))
+    max_bytes: int = parameter(
+        0, 'size at which the next file begins; 0: never', unit='bytes', bounds=(0, 2**62))
+    max_duration_s: float = parameter(
+        0.0, 'duration at which the next file begins; 0: never', unit='s', bounds=(0.0, 1e6))
+    max_files: int = parameter(
+        0, 'files that are kept, the oldest is deleted; 0: all', bounds=(0, 1000000))
+    compression: str = parameter(
+        'none', 'how chunks are compressed inside the file', choices=('none', 'lz4', 'zstd'))
+    min_free_bytes: int = parameter(
+        2**28, 'room on the disk at which the recording ends, whole; 0: when a write fails',
+        unit='bytes', bounds=(0, 2**62))
+    queue_bytes: int = parameter(
+        2**27, 'messages that may wait for the disk; more are refused and counted',
+        unit='bytes', bounds=(1, 2**62))
+    snapshot_s: float = parameter(
+        0.0, 'keep the last messages in memory and write them on request only; '
+        '0: write all messages', unit='s', bounds=(0.0, 1e6))
+    snapshot_bytes: int = parameter(
+        2**28, 'room for them; more are forgotten, the oldest first', unit='bytes',
+        bounds=(1, 2**62))
+    attachments: tuple = parameter(
+        (), 'files, such as calibrations, that are put into each file of the recording')
 
 
 @dataclass(frozen=True)
@@ -245,6 +293,7 @@ class Config:
     encoder: EncoderConfig = EncoderConfig()
     patches: PatchesConfig = PatchesConfig()
     odometry: OdometryConfig = OdometryConfig()
+    mavlink: MavlinkConfig = MavlinkConfig()
     ratslam: RatSlamConfig = RatSlamConfig()
     pose_cells: PoseCellsConfig = PoseCellsConfig()
     recorder: RecorderConfig = RecorderConfig()
@@ -261,6 +310,17 @@ class Config:
             section: replace(getattr(self, section), **names)
             for section, names in changes.items()})
 
+    def retuned(self, values: Mapping[str, Any]) -> Config:
+        """Return this configuration with `live` parameters replaced; refuse to change others."""
+        changed = self.override(values)
+        before, after = self.flat(), changed.flat()
+        for key in values:
+            if after[key] != before[key] and not PARAMETERS[key].metadata['live']:
+                why = getattr(self, key.partition('.')[0]).fixed_by
+                raise ConfigError(f'{key} cannot change while the node is configured: {why}; '
+                                  'deactivate and clean up first')
+        return changed
+
     def flat(self) -> dict[str, Any]:
         """Return every parameter as `section.name`: value."""
         return {f'{section}.{name}': value
@@ -274,63 +334,3 @@ def _parameters() -> Iterator[tuple[str, Any]]:
 
 
 PARAMETERS = dict(_parameters())
-
-
-def parse_assignment(text: str) -> tuple[str, Any]:
-    """Parse `section.name=value` of the command line; the value is YAML."""
-    key, equals, value = text.partition('=')
-    if not equals:
-        raise ConfigError(f'{text!r}: expected section.name=value')
-    try:
-        return key.strip(), _from_yaml(key.strip(), yaml.safe_load(value))
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date like 2024-13-01
-        raise ConfigError(f'{text!r}: {value!r} is not YAML') from error
-
-
-def load_profile(path: Path) -> dict[str, Any]:
-    """Read a ROS parameter file and return its `section.name`: value pairs, all nodes merged."""
-    try:
-        document = yaml.safe_load(Path(path).read_text())
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise ConfigError(f'{path}: not a readable YAML file: {error}') from error
-    values: dict[str, Any] = {}
-    for node, content in _mapping(path, document).items():
-        parameters = _mapping(path, content).get('ros__parameters')
-        if parameters is None:
-            raise ConfigError(f'{path}: {node!r} holds no ros__parameters')
-        values.update(_flatten(_mapping(path, parameters)))
-    return {key: _from_yaml(key, value) for key, value in values.items()
-            if not is_ros_parameter(key)}
-
-
-def is_ros_parameter(key: str) -> bool:
-    """Whether a parameter is one that rclpy declares on every node."""
-    return key in ('use_sim_time', 'start_type_description_service') or key.startswith(
-        'qos_overrides.')
-
-
-def _mapping(path, value) -> Mapping:
-    if not isinstance(value, Mapping):
-        raise ConfigError(f'{path}: expected a mapping, found {value!r}')
-    return value
-
-
-def _flatten(tree: Mapping, prefix: str = '') -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            flat.update(_flatten(value, f'{prefix}{key}.'))
-        else:
-            flat[f'{prefix}{key}'] = value
-    return flat
-
-
-def _from_yaml(key: str, value: Any) -> Any:
-    """YAML 1.1 reads 1e-3 as a string: turn it into a number where one is wanted."""
-    spec = PARAMETERS.get(key)
-    if spec is not None and type(spec.default) is float and isinstance(value, str):
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value

@@ -25,5 +25,9 @@ class RecordingError(DlscQbsError):
     """A recording is missing, cut, foreign or lacks what was asked of it."""
 
 
+class MapError(DlscQbsError):
+    """A map is missing, damaged, foreign or made with another configuration."""
+
+
 class ModelError(DlscQbsError):
     """A file of a network is missing, damaged or not of the kind that was asked for."""

@@ -10,9 +10,11 @@ PACKAGE = Path(__file__).parent.parent / 'dlsc_qbs_ros'
 MODULES = sorted(path for path in PACKAGE.rglob('*.py') if path.name != '__init__.py')
 
 # Importer -> imported; a name with a dot opens that one module only.
-EVERYONE = {'config', 'errors'}
+EVERYONE = {'config', 'profiles', 'errors'}
 ARROWS = {
-    'config': {'errors'},
+    'config': {'declaration', 'errors'},
+    'declaration': {'errors'},
+    'profiles': {'config', 'errors'},
     'errors': set(),
     'core': {'core'},
     'pipeline': {'pipeline', 'core'},
@@ -20,7 +22,7 @@ ARROWS = {
     'io': {'io', 'core'},
     'sim': {'sim', 'core'},
     'evaluation': {'evaluation', 'core'},
-    'ros': {'ros', 'core'},
+    'ros': {'ros', 'core', 'declaration'},
     'nodes': {'nodes', 'ros', 'pipeline', 'io', 'core.types'},
     'cli': {'cli', 'pipeline', 'io', 'sim', 'evaluation', 'baselines', 'core.types'},
 }

@@ -6,8 +6,9 @@ import re
 
 import pytest
 
-from dlsc_qbs_ros.config import Config, load_profile, PARAMETERS, parse_assignment
+from dlsc_qbs_ros.config import Config, PARAMETERS
 from dlsc_qbs_ros.errors import ConfigError
+from dlsc_qbs_ros.profiles import load_profile, parse_assignment
 
 NUMBERS = {key: spec for key, spec in PARAMETERS.items() if spec.metadata['bounds']}
 WORDS = {key: spec for key, spec in PARAMETERS.items() if spec.metadata['choices']}

@@ -15,23 +15,26 @@ import pytest
 import yaml
 
 from dlsc_qbs_ros.cli import demo
-from dlsc_qbs_ros.config import Config, is_ros_parameter, load_profile, PARAMETERS
+from dlsc_qbs_ros.config import Config, PARAMETERS
+from dlsc_qbs_ros.profiles import is_ros_parameter, load_profile
 
 ROOT = Path(__file__).parent.parent
 PROFILES = sorted((ROOT / 'config').glob('*.yaml'))
 LAUNCH_FILES = sorted((ROOT / 'launch').glob('*.launch.py'))
 BIN = ROOT / 'install' / 'dlsc_qbs_ros' / 'lib' / 'dlsc_qbs_ros'
-TOOLS = ('simulate', 'replay', 'evaluate', 'reproduce', 'reproduce_encoder', 'convert_vgg11',
-         'train_latentslam')
+TOOLS = ('simulate', 'replay', 'recover', 'evaluate', 'reproduce', 'reproduce_encoder',
+         'convert_vgg11', 'train_latentslam')
 NODES = ('encoder', 'ratslam', 'recorder')
 
 # The rosdep key of an imported module, where the two names differ.
 ROSDEP_KEYS = {
     'ament_flake8': 'ament_flake8', 'ament_pep257': 'ament_pep257',
-    'cv2': 'python3-opencv', 'matplotlib': 'python3-matplotlib', 'mcap': 'mcap-ros2-support',
+    'cv2': 'python3-opencv', 'lz4': 'mcap-ros2-support', 'matplotlib': 'python3-matplotlib',
+    'mcap': 'mcap-ros2-support',
     'mcap_ros2': 'mcap-ros2-support', 'numpy': 'python3-numpy', 'pytest': 'python3-pytest',
     'pymavlink': 'python3-pymavlink-pip', 'rosbags': 'python3-rosbags-pip',
-    'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml',
+    'serial': 'python3-serial', 'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml',
+    'zstandard': 'mcap-ros2-support',  # mcap needs it and lz4
 }
 
 
@@ -41,7 +44,7 @@ def imported(folder):
              for node in ast.walk(ast.parse(path.read_text()))]
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) if not node.level}
-    local = {'dlsc_qbs_ros', *(path.stem for path in (ROOT / 'test').glob('*.py'))}
+    local = {'dlsc_qbs_ros', *(path.stem for path in (ROOT / 'test').rglob('*.py'))}
     return {name.partition('.')[0] for name in names} - sys.stdlib_module_names - local
 
 

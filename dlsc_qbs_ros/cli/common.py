@@ -7,10 +7,9 @@ from pathlib import Path
 import sys
 from typing import Any, Callable, Iterable, Iterator
 
-import yaml
-
-from ..config import Config, load_profile, parse_assignment
+from ..config import Config
 from ..errors import DlscQbsError
+from ..profiles import load_profile, parse_assignment, to_yaml
 
 
 def run_tool(name: str, work: Callable[[Any], None], options: Any) -> int:
@@ -43,12 +42,7 @@ def writing(out: Path) -> Iterator[None]:
 
 def write_config(out: Path, config: Config, notes: Iterable[str]) -> None:
     """Make the folder and write the effective configuration, before any long work, into it."""
-    tree: dict[str, dict[str, Any]] = {}
-    for key, value in config.flat().items():
-        section, _, name = key.partition('.')
-        if value != ():  # ROS parameter files know no empty list
-            tree.setdefault(section, {})[name] = value
-    document = yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
+    comments = ''.join(f'# {note}\n' for note in notes)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-        (out / 'config.yaml').write_text(''.join(f'# {note}\n' for note in notes) + document)
+        (out / 'config.yaml').write_text(comments + to_yaml(config))
