@@ -13,6 +13,7 @@ from dlsc_qbs_ros.core.preprocessing import make_view
 from dlsc_qbs_ros.core.types import Frame, RawOdometry
 from dlsc_qbs_ros.errors import ConfigError
 from dlsc_qbs_ros.evaluation.alignment import align
+from dlsc_qbs_ros.evaluation.metrics import share_within_95
 from dlsc_qbs_ros.pipeline.encoder import Encoder
 from dlsc_qbs_ros.pipeline.odometry import OdometryNormaliser
 from dlsc_qbs_ros.pipeline.ratslam import RatSlam
@@ -79,6 +80,7 @@ class Flown(NamedTuple):
 
     times: np.ndarray
     errors: np.ndarray  # of the pose at each code, as the map stood then
+    within_95: float  # the share of them that lie where the poses' deviations say
     final_errors: np.ndarray  # the same, as the map stands at the end
     meetings: np.ndarray  # rows of time and true distance from the old place that was met
     reprojection_errors: np.ndarray  # of every frame
@@ -94,6 +96,7 @@ class Log:
 
     def __init__(self):
         self.stamps_ns, self.poses, self.places, self.meetings = [], [], [], []
+        self.sigmas_m = []
         self._born = []
 
     def __call__(self, mapper):
@@ -107,6 +110,7 @@ class Log:
             self.meetings.append((seconds(stamp_ns), hypot(*(here - there))))
         self.stamps_ns.append(stamp_ns)
         self.poses.append(mapper.pose())
+        self.sigmas_m.append(mapper.sigmas()[0])
         self.places.append(place)
 
 
@@ -121,10 +125,15 @@ def positions():
     return dict(zip(stamps_ns.tolist(), FLIGHT.trajectory.poses(seconds(stamps_ns))[:, :2]))
 
 
-def distances(poses, stamps_ns):
-    """Return the distance |x| + |y| of every pose from the truth, aligned as for MAE_L."""
+def offsets(poses, stamps_ns):
+    """Return x and y of every pose from the truth, aligned as for MAE_L."""
     estimate, truth = np.array(poses)[:, :2], np.array([positions()[ns] for ns in stamps_ns])
-    return np.abs(estimate - align(truth, estimate).apply(truth)).sum(axis=1)
+    return estimate - align(truth, estimate).apply(truth)
+
+
+def distances(poses, stamps_ns):
+    """Return the distance |x| + |y| of every pose from the truth."""
+    return np.abs(offsets(poses, stamps_ns)).sum(axis=1)
 
 
 @lru_cache(maxsize=None)
@@ -147,6 +156,7 @@ def flown(name):
              for place in log.places]
     return Flown(
         seconds(log.stamps_ns), distances(log.poses, log.stamps_ns),
+        share_within_95(offsets(log.poses, log.stamps_ns), 0.0, np.array(log.sigmas_m)),
         distances(final, log.stamps_ns), np.array(log.meetings),
         np.array([result.reprojection_error for result in results]),
         sum(result.ran_away for result in results), ratslam.counts)
@@ -168,6 +178,12 @@ def test_the_map_afterwards_is_as_usable_as_before(name):
     seen = (result.times < START_S) | settled
     assert (result.final_errors[seen].mean()
             < 1.3 * undisturbed.final_errors[seen].mean() + 0.1)
+
+
+@pytest.mark.parametrize('name', [UNDISTURBED, *DISTURBANCES])
+def test_the_pose_says_how_far_off_it_may_be(name):
+    """A covariance that held exactly would have 95 % of the errors within their bounds."""
+    assert flown(name).within_95 >= 0.9
 
 
 @pytest.mark.parametrize('name', DISTURBANCES)

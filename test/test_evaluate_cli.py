@@ -7,10 +7,11 @@ import sys
 
 from dlsc_qbs_ros.cli import evaluate, job
 from dlsc_qbs_ros.cli.methods import METHODS
-from dlsc_qbs_ros.config import Config, load_profile
+from dlsc_qbs_ros.config import Config, MavlinkConfig
 from dlsc_qbs_ros.core.types import Frame, GroundTruthSample, OdometrySample, Pose2
 from dlsc_qbs_ros.errors import RecordingError
 from dlsc_qbs_ros.pipeline.runner import EncodedFlight, RunResult
+from dlsc_qbs_ros.profiles import load_profile
 import numpy as np
 import pytest
 
@@ -38,11 +39,12 @@ class Pipeline:
 
     def __init__(self):
         self.with_truth, self.usable, self.best = True, slice(None), 0.7
-        self.read, self.encoded, self.mapped = [], [], []
+        self.read, self.links, self.encoded, self.mapped = [], [], [], []
 
     def read_flight(self, path, image_topic, odom_topic, ground_truth_topic,
-                    refused):
+                    refused, tlog, mavlink):
         self.read.append((path, image_topic, odom_topic, ground_truth_topic))
+        self.links.append((tlog, mavlink))
         refused['/camera/image_raw'] += 7
         if path.stat().st_size:
             raise RecordingError(f'{path}: not an MCAP file')
@@ -62,8 +64,8 @@ class Pipeline:
         poses[::2, 0] += 10.0 * abs(direction * config.ratslam.threshold - self.best)
         poses = poses[self.usable]
         return RunResult(
-            np.arange(N, dtype=np.int64)[self.usable] * SECOND_NS, poses, poses, poses, poses,
-            np.arange(len(poses)),
+            np.arange(N, dtype=np.int64)[self.usable] * SECOND_NS, poses, poses[:, :2],
+            poses, poses, poses, np.arange(len(poses)),
             np.zeros((0, 2), np.int64), np.array([[0, 9]]), COUNTS, 0.1)
 
 
@@ -168,6 +170,13 @@ class TestResults:
         evaluate.main([str(flight), '--image-topic', '/a', '--odom-topic', '/b',
                        '--ground-truth-topic', '/c', '--out', str(tmp_path / 'out')])
         assert pipeline.read == [(flight, '/a', '/b', '/c')]
+
+    def test_a_log_of_a_link_and_which_autopilot_s_reach_the_reader(
+            self, pipeline, flight, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        evaluate.main([str(flight), '--tlog', 'link.tlog', '--set', 'mavlink.system=3',
+                       '--out', 'out'])
+        assert pipeline.links == [(tmp_path / 'link.tlog', MavlinkConfig(system=3))]
 
     def test_a_flight_whose_whole_name_is_the_ending_keeps_it(self, pipeline, tmp_path):
         (tmp_path / '.mcap').touch()

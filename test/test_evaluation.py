@@ -7,7 +7,8 @@ from dlsc_qbs_ros.core.types import GroundTruthSample, Pose2
 from dlsc_qbs_ros.errors import DlscQbsError
 from dlsc_qbs_ros.evaluation.alignment import align, align_least_squares, Alignment
 from dlsc_qbs_ros.evaluation.association import associate
-from dlsc_qbs_ros.evaluation.metrics import ate_rmse_m, evaluate_run, mae_l, mae_m
+from dlsc_qbs_ros.evaluation.metrics import (
+    ate_rmse_m, evaluate_run, mae_l, mae_m, share_within_95)
 from dlsc_qbs_ros.evaluation.plots import plot_run
 from dlsc_qbs_ros.evaluation.table import format_table, Row
 from dlsc_qbs_ros.pipeline.runner import RunResult
@@ -42,7 +43,8 @@ def result_of(poses, final_poses=None, odometry=None, closures=()):
     odometry = poses if odometry is None else planar(np.asarray(odometry, dtype=float))
     n = len(poses)
     return RunResult(
-        stamps_ns=np.arange(n, dtype=np.int64) * SECOND_NS, poses=poses, final_poses=final,
+        stamps_ns=np.arange(n, dtype=np.int64) * SECOND_NS, poses=poses,
+        sigmas=np.ones((n, 2)), final_poses=final,
         odometry=odometry, experiences=final, births=np.arange(n),
         links=np.column_stack([np.arange(n - 1), np.arange(1, n)]),
         closures=np.array(closures, dtype=np.int64).reshape(-1, 2), counts=COUNTS, seconds=1.5)
@@ -225,6 +227,27 @@ class TestAlignment:
         assert found.apply(np.ones((5, 2))) == pytest.approx(np.full((5, 2), 3.0))
 
 
+class TestCovariance:
+    """How many of the errors lie where 95 % of them ought to."""
+
+    def test_four_frames_by_hand(self):
+        """The circle of one deviation 1 has the radius sqrt(5.991) = 2.448."""
+        estimate = np.array([[2.44, 0.0], [0.0, -2.46], [1.8, 1.8], [1.7, -1.7]])
+        sigma_m = np.ones(4)
+        assert share_within_95(estimate, np.zeros((4, 2)), sigma_m) == 0.5
+        assert share_within_95(3.0 * estimate, np.zeros((4, 2)), 3.0 * sigma_m) == 0.5
+
+    def test_of_normal_errors_it_is_95_percent(self):
+        rng = np.random.default_rng(0)
+        sigma_m = rng.uniform(0.1, 3.0, 20_000)
+        errors = sigma_m[:, None] * rng.normal(size=(20_000, 2))
+        truth = rng.normal(size=(20_000, 2))
+        assert share_within_95(truth + errors, truth, sigma_m) == pytest.approx(0.95, abs=0.005)
+
+    def test_who_says_that_it_is_lost_is_right_wherever_it_is(self):
+        assert share_within_95(np.full((3, 2), 1e6), np.zeros((3, 2)), np.full(3, np.inf)) == 1.0
+
+
 class TestRun:
     """Which poses, which frames and which alignment go into which figure."""
 
@@ -245,6 +268,7 @@ class TestRun:
         assert metrics.ate_rmse_m == pytest.approx(((4 * 0.4**2 + 1.6**2) / 5) ** 0.5)
         assert (metrics.odometry_mae_l, metrics.odometry_mae_m) == pytest.approx((0.4, 0.4))
         assert metrics.odometry_ate_rmse_m == pytest.approx(0.4 ** 0.5)
+        assert metrics.within_95 == 1.0  # of errors up to 2 m, with deviations of 1 m
 
     def test_online_poses_give_mae_l_final_poses_mae_m_under_the_alignment_of_mae_l(self):
         truth = walk(50)
@@ -291,7 +315,8 @@ class TestRow:
     """A row says what metrics.json and the table promise."""
 
     keys = ['flight', 'encoder', 'mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m',
-            'ate_rmse_m', 'odometry_ate_rmse_m', 'threshold', 'threshold_tuned', 'frames',
+            'ate_rmse_m', 'odometry_ate_rmse_m', 'within_95', 'threshold', 'threshold_tuned',
+            'frames',
             'view_cells', 'experiences', 'closures', 'learning_frames', 'epochs',
             'false_closures', 'alignment']
 
@@ -316,7 +341,7 @@ class TestRow:
         assert list(row) == self.keys
         assert [key for key in self.keys if row[key] is None] == [
             'mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m', 'ate_rmse_m',
-            'odometry_ate_rmse_m', 'alignment']
+            'odometry_ate_rmse_m', 'within_95', 'alignment']
         assert row['frames'] == 30
 
     def test_table_names_every_figure(self):

@@ -129,9 +129,9 @@ def test_ate_of_a_drifting_flight_is_that_of_evo_whichever_side_is_moved():
 def test_a_run_gets_from_stamps_to_ate_as_in_evo():
     better = Example.poses * [1.01, 0.99, 1.0]
     result = RunResult(
-        stamps_ns=Example.stamps_ns, poses=better, final_poses=better, odometry=Example.poses,
-        experiences=better, births=np.arange(len(better)), links=np.zeros((0, 2), int),
-        closures=np.zeros((0, 2), int), counts={}, seconds=1.0)
+        stamps_ns=Example.stamps_ns, poses=better, sigmas=better[:, :2], final_poses=better,
+        odometry=Example.poses, experiences=better, births=np.arange(len(better)),
+        links=np.zeros((0, 2), int), closures=np.zeros((0, 2), int), counts={}, seconds=1.0)
     ours = evaluate_run(result, Example.truth)
     assert ours.frames == len(Example.stamps_ns)
     for ate_m, poses in ((ours.ate_rmse_m, better), (ours.odometry_ate_rmse_m, Example.poses)):

@@ -74,6 +74,10 @@ class TestFigures:
         assert result.top_1 == 1.0
         assert result.precision[-1] == pytest.approx(10 / 25)
 
+    def test_a_view_without_ground_truth_is_nobodys_match(self):
+        result = found(directions(), truth_of()[1:])
+        assert (result.recall_at(0.99), result.n_revisits, result.n_views) == (1.0, 19, 39)
+
     def test_views_younger_than_15_s_are_no_match(self):
         result = found(directions([0] * 40), truth_of([0] * 40))
         assert result.n_revisits == 25
@@ -201,7 +205,8 @@ class TestFalseClosures:
         poses[20:, 0] += shift_m
         poses[20:, 2] += turn_rad
         return RunResult(
-            np.arange(n, dtype=np.int64) * SECOND_NS, poses, poses, poses, poses, np.arange(n),
+            np.arange(n, dtype=np.int64) * SECOND_NS, poses, np.ones((n, 2)), poses, poses, poses,
+            np.arange(n),
             np.zeros((0, 2), np.int64), np.array([[3, 23], [5, 25]]), {}, 0.0)
 
     def test_of_a_true_map_is_none(self):

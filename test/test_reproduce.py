@@ -10,7 +10,7 @@ import sys
 from dlsc_qbs_ros.cli import reproduce
 from dlsc_qbs_ros.cli.job import TUNE
 from dlsc_qbs_ros.cli.methods import METHODS
-from dlsc_qbs_ros.config import Config, load_profile
+from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.types import GroundTruthSample, Pose2
 from dlsc_qbs_ros.errors import RecordingError
 from dlsc_qbs_ros.evaluation import report
@@ -20,6 +20,7 @@ from dlsc_qbs_ros.evaluation.paper_table import (
 from dlsc_qbs_ros.evaluation.place_recognition import Recognition
 from dlsc_qbs_ros.evaluation.table import Outcome, Row, Run
 from dlsc_qbs_ros.pipeline.runner import RunResult
+from dlsc_qbs_ros.profiles import load_profile
 import numpy as np
 import pytest
 
@@ -40,7 +41,8 @@ def row_of(flight, encoder, error_m, tuned=False):
     poses[::2, 0] += error_m
     poses[1::2, 0] -= error_m
     result = RunResult(
-        np.arange(N, dtype=np.int64) * SECOND_NS, poses, poses, poses, poses, np.arange(N),
+        np.arange(N, dtype=np.int64) * SECOND_NS, poses, poses[:, :2], poses, poses, poses,
+        np.arange(N),
         np.zeros((0, 2), np.int64), np.array([[0, 9]]), COUNTS, 0.1)
     threshold = 0.8 if METHODS[encoder].grid else None
     return Run(Row(flight, encoder, evaluate_run(result, truth), threshold, tuned, 0, N, COUNTS,

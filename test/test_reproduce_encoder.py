@@ -12,13 +12,14 @@ import pytest
 import yaml
 
 from dlsc_qbs_ros.cli import reproduce_encoder
-from dlsc_qbs_ros.config import Config, load_profile
+from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.preprocessing import view_to_inputs
 from dlsc_qbs_ros.core.types import Frame
 from dlsc_qbs_ros.evaluation.encoder_figure import (
     atoms_finding, distinct_atoms, replay_finding, run_away_finding, structure)
 from dlsc_qbs_ros.evaluation.encoder_plots import plot_atoms, plot_replay, plot_run_away
 from dlsc_qbs_ros.pipeline.continual_learning import learn, random_schedule, replay, views_of
+from dlsc_qbs_ros.profiles import load_profile
 
 CONFIG = Config().override({'view.width': 16, 'view.height': 12, 'encoder.n_atoms': 8})
 # Runs away within the circle, whichever way the learner rounds.
@@ -365,7 +366,7 @@ class TestRefusals:
 
     def test_a_flight_without_images_or_without_the_topic_asked_for(self, tmp_path, capsys):
         pytest.importorskip('rclpy', reason='recordings are decoded by ROS')
-        from dlsc_qbs_ros.io.bag import BagWriter
+        from dlsc_qbs_ros.io.bag_writer import BagWriter
         with BagWriter(tmp_path / 'flight') as writer:
             writer.add_topic('/odom', 'nav_msgs/msg/Odometry')
         out = ('--out', tmp_path / 'out')

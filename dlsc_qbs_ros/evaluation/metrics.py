@@ -12,6 +12,8 @@ from .association import associate
 from ..core.types import GroundTruthSample
 
 CHUNK = 256
+# Squared distances, in units of the variance, that 95 % of planar normal errors stay within.
+CHI_SQUARE_95 = 5.991
 
 
 def mae_l(estimate_m: np.ndarray, truth_m: np.ndarray) -> float:
@@ -46,6 +48,17 @@ def ate_rmse_m(estimate_m: np.ndarray, truth_m: np.ndarray) -> float:
     return float(np.sqrt(np.square(estimate_m - moved_m).sum(axis=1).mean()))
 
 
+def share_within_95(estimate_m: np.ndarray, truth_m: np.ndarray, sigma_m: np.ndarray) -> float:
+    """
+    Return the share of frames whose error lies within the circle that 95 % ought to lie in.
+
+    Positions are ndarrays of shape (n, 2), n > 0, in the same frame, and sigma_m, (n,), is the
+    deviation that was told of the estimate along either axis.
+    """
+    squared = np.square(estimate_m - truth_m).sum(axis=1)
+    return float((squared <= CHI_SQUARE_95 * np.square(sigma_m)).mean())
+
+
 def _distances(a, b):
     """Return the L1 distances of points (n, 2) and (m, 2) as an ndarray of shape (n, m)."""
     return np.abs(a[:, None, 0] - b[None, :, 0]) + np.abs(a[:, None, 1] - b[None, :, 1])
@@ -59,7 +72,8 @@ class Metrics:
     `frames` were compared, `frames_left_out` had no ground truth. `truth_m` is the ground truth
     in the SLAM frame at each code, shape (n, 2), NaN where a frame was left out; it is also the
     set of points that MAE_M searches. The absolute trajectory error is that of the poses that
-    MAE_L compares, under an alignment of its own.
+    MAE_L compares, under an alignment of its own; `within_95` judges their covariance, under
+    that of MAE_L.
     """
 
     mae_l: float
@@ -68,6 +82,7 @@ class Metrics:
     odometry_mae_m: float
     ate_rmse_m: float
     odometry_ate_rmse_m: float
+    within_95: float
     frames: int
     frames_left_out: int
     alignment: Alignment
@@ -81,8 +96,8 @@ def evaluate_run(result, ground_truth: Sequence[GroundTruthSample]) -> Metrics |
     Parameters
     ----------
     result : pipeline.runner.RunResult
-        Its `stamps_ns`, `poses` (for MAE_L and ATE), `final_poses` (for MAE_M) and `odometry` are
-        read.
+        Its `stamps_ns`, `poses` (for MAE_L and ATE) with their `sigmas`, `final_poses` (for MAE_M)
+        and `odometry` are read.
     ground_truth : sequence of GroundTruthSample
         In any order; may be empty.
 
@@ -106,4 +121,5 @@ def evaluate_run(result, ground_truth: Sequence[GroundTruthSample]) -> Metrics |
         mae_l(poses, moved), mae_m(final, moved),
         mae_l(odometry, moved_to_odometry), mae_m(odometry, moved_to_odometry),
         ate_rmse_m(poses, truth[used]), ate_rmse_m(odometry, truth[used]),
+        share_within_95(poses, moved, np.asarray(result.sigmas)[used, 0]),
         frames, len(used) - frames, alignment, alignment.apply(truth))

@@ -40,7 +40,8 @@ class Recognition:
     n_revisits : int
         The views that have an earlier one of the same place.
     n_views : int
-        The views that were taken, of which each was compared with all that are old enough.
+        The views that were taken and have ground truth, of which each was compared with all that
+        are old enough.
 
     """
 
@@ -71,7 +72,7 @@ def recognise(events: Iterable, ground_truth: Sequence[GroundTruthSample], book:
         What came out of the encoder (`pipeline.runner.EncodedFlight.events`): each view and its
         code, and each dictionary before the first code under it.
     ground_truth : sequence of GroundTruthSample
-        In any order; a view without any is left out.
+        In any order; a view without any is left out, as a match, too.
     book : ViewCells
         A code book that is still empty; it says how codes are compared.
     encode : callable
@@ -87,17 +88,20 @@ def recognise(events: Iterable, ground_truth: Sequence[GroundTruthSample], book:
 
     """
     views, codes, dictionaries = _sampled(events)
-    stamps_ns = np.array([code.stamp_ns for code in codes], np.int64)
-    poses = associate(stamps_ns, ground_truth)
+    poses = associate(_stamps_ns(codes), ground_truth)
+    has_truth = np.isfinite(poses).all(axis=1)
+    views, codes = ([item for item, is_kept in zip(items, has_truth) if is_kept]
+                    for items in (views, codes))
+    poses = poses[has_truth]
     if under_last and dictionaries:
         name, dictionary = list(dictionaries.items())[-1]
         values = encode(dictionary, [view.pixels for view in views])
         codes = [Code(code.stamp_ns, row, name) for code, row in zip(codes, values)]
     matches, scores = _matches(views, codes, dictionaries, book, encode)
-    n_old = _n_old(stamps_ns)
+    n_old = _n_old(_stamps_ns(codes))
     has_revisit = np.array([_is_same(poses[:n], pose).any() for n, pose in zip(n_old, poses)])
-    used = (n_old > 0) & np.isfinite(poses).all(axis=1)
-    if not (has_revisit & used).any():
+    used = n_old > 0
+    if not has_revisit.any():
         return None
     right = np.array([_is_same(poses[match:match + 1], pose).all()
                       for match, pose in zip(matches, poses)])
@@ -119,6 +123,10 @@ def _sampled(events: Iterable) -> tuple[list[View], list[Code], dict[int, Dictio
     return views[::step], codes[::step], dictionaries
 
 
+def _stamps_ns(codes: list[Code]) -> np.ndarray:
+    return np.array([code.stamp_ns for code in codes], np.int64)
+
+
 def _n_old(stamps_ns: np.ndarray) -> np.ndarray:
     """Return how many of the views are old enough to be matched, for each view."""
     stamps_ns = np.maximum.accumulate(stamps_ns)  # a clock that falls back makes nothing older
@@ -129,7 +137,7 @@ def _matches(views: list[View], codes: list[Code], dictionaries: dict[int, Dicti
              book: ViewCells, encode: Encode) -> tuple[np.ndarray, np.ndarray]:
     """Return the index of the best old view of each view, and how alike the two are."""
     matches, scores = np.zeros(len(codes), int), np.zeros(len(codes))
-    n_old = _n_old(np.array([code.stamp_ns for code in codes], np.int64))
+    n_old = _n_old(_stamps_ns(codes))
     current: int | None = None
     values: list[np.ndarray] = []
     for k, code in enumerate(codes):

@@ -45,7 +45,7 @@ class Row:
         It holds nothing that is another the next time.
         """
         errors = ('mae_l', 'mae_m', 'odometry_mae_l', 'odometry_mae_m', 'ate_rmse_m',
-                  'odometry_ate_rmse_m')
+                  'odometry_ate_rmse_m', 'within_95')
         counts = ('view_cells', 'experiences', 'closures', 'learning_frames', 'epochs')
         return {
             'flight': self.flight,

@@ -31,6 +31,8 @@ class RunResult:
     poses : ndarray of shape (n, 3)
         x, y in metres and yaw in radians at each code's stamp, as the map stood when that code
         was processed.
+    sigmas : ndarray of shape (n, 2)
+        Their deviations, of the position in metres and of the yaw in radians.
     final_poses : ndarray of shape (n, 3)
         The same, as the map stands at the end.
     odometry : ndarray of shape (n, 3)
@@ -51,6 +53,7 @@ class RunResult:
 
     stamps_ns: np.ndarray
     poses: np.ndarray
+    sigmas: np.ndarray
     final_poses: np.ndarray
     odometry: np.ndarray
     experiences: np.ndarray
@@ -115,7 +118,7 @@ def map_codes(flight: EncodedFlight, config: Config, measure: Measure | None = N
     started = time.perf_counter()
     track: list[tuple] = []
     ratslam = RatSlam(config, measure=measure, on_update=lambda mapper: track.append(
-        (mapper.odometry, mapper.pose(), mapper.place)))
+        (mapper.odometry, mapper.pose(), mapper.place, mapper.sigmas())))
     add = {OdometrySample: ratslam.add_odometry, Dictionary: ratslam.add_dictionary,
            View: ratslam.add_view, Code: ratslam.add_code}
     for event in flight.events:
@@ -134,16 +137,17 @@ def _result(ratslam: RatSlam, track: list[tuple], flight: EncodedFlight, seconds
               'experiences': len(mapper.map), 'closures': len(closures),
               'closures_undone': mapper.undone}
     return RunResult(
-        stamps_ns=np.array([odometry.stamp_ns for odometry, _, _ in track], np.int64),
-        poses=_poses(pose for _, pose, _ in track),
-        final_poses=_poses(compose(mapper.map.pose(place.experience), place.offset)
-                           for _, _, place in track),
-        odometry=_poses(odometry.pose for odometry, _, _ in track),
+        stamps_ns=np.array([odometry.stamp_ns for odometry, *_ in track], np.int64),
+        poses=_rows((pose for _, pose, _, _ in track), 3),
+        sigmas=_rows((sigmas for *_, sigmas in track), 2),
+        final_poses=_rows((compose(mapper.map.pose(place.experience), place.offset)
+                           for _, _, place, _ in track), 3),
+        odometry=_rows((odometry.pose for odometry, *_ in track), 3),
         experiences=mapper.map.poses.copy(),
-        births=np.unique([place.experience for _, _, place in track], return_index=True)[1],
+        births=np.unique([place.experience for _, _, place, _ in track], return_index=True)[1],
         links=mapper.map.links.copy(),
         closures=closures, counts=counts, seconds=flight.seconds + seconds)
 
 
-def _poses(poses: Iterable) -> np.ndarray:
-    return np.array(list(poses), float).reshape(-1, 3)
+def _rows(rows: Iterable, width: int) -> np.ndarray:
+    return np.array(list(rows), float).reshape(-1, width)
