@@ -76,7 +76,9 @@ class LateExecutor:
         return self._tasks[-1][0]
 
     def complete(self):
-        """Do all that was submitted."""
-        for future, task, args in self._tasks:
-            future.set_result(task(*args))
-        self._tasks.clear()
+        """Do all that was submitted; return whether there was anything."""
+        tasks, self._tasks = self._tasks, []
+        for future, task, args in tasks:
+            if future.set_running_or_notify_cancel():
+                future.set_result(task(*args))
+        return bool(tasks)

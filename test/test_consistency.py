@@ -97,6 +97,13 @@ def test_the_error_of_the_yaw_rate_is_one_for_all_motions():
     assert fall == pytest.approx(0.16 / (0.01 + 0.32))
 
 
+def test_each_segment_of_odometry_has_a_scale_of_its_own():
+    """Two halves of 3 m add their variances: 0.06 + 0.04 + 2 * 0.04 * 3 ** 2."""
+    chain = line(6)._replace(segments=np.array([0, 0, 0, 1, 1, 1]))
+    fall, = surprises(chain, np.array([[0, 6]]), MATCH, np.array([0.0, 0.04]), np.array([0]))
+    assert fall == pytest.approx(36.0 / (0.06 + 0.04 + 2 * 0.04 * 9.0))
+
+
 def test_closures_of_separate_stretches_do_not_touch_each_other():
     ends = np.array([[0, 2], [2, 5]])
     falls = surprises(line(5), ends, MATCH, NO_CALIBRATION, np.array([0, 1]))

@@ -102,6 +102,15 @@ def test_rows_grow_by_rows_and_can_be_written_to():
     assert rows.values[10].tolist() == [12, -8]
 
 
+def test_rows_grow_by_many_at_a_time_too():
+    rows = Rows(np.zeros((0, 2), int))
+    rows.extend(np.arange(200).reshape(100, 2))
+    rows.append((7, 8))
+    rows.extend(np.zeros((0, 2), int))
+    assert rows.values.shape == (101, 2)
+    assert rows.values[[0, 99, 100]].tolist() == [[0, 1], [198, 199], [7, 8]]
+
+
 # Relaxation
 
 @pytest.mark.parametrize('seed', range(4))
@@ -260,3 +269,91 @@ def test_facings_stay_wrapped_under_sweeps():
     experience_map = random_graph(3, noise=1.0)
     experience_map.sweep(50)
     assert (np.abs(experience_map.poses[:, 2]) <= pi).all()
+
+
+# A relaxation that takes several calls
+
+def closed_loop(n=60):
+    """Return a square, a closed path by an odometry that is 0.1 rad off at each corner."""
+    odometry = [IDENTITY]
+    for k in range(n - 1):
+        turn = pi / 2 + 0.1 if k % (n // 4) == n // 4 - 1 else 0.0
+        odometry.append(compose(odometry[-1], Pose2(0.5, 0.0, turn)))
+    experience_map = graph(odometry, [
+        (k, k + 1, between(a, b)) for k, (a, b) in enumerate(zip(odometry, odometry[1:]))])
+    experience_map.add_link(n - 1, 0, Pose2(0.5, 0.0, pi / 2), True)
+    return experience_map
+
+
+def test_a_relaxation_in_many_calls_moves_all_at_the_last_as_one_call_does():
+    at_once, spread = closed_loop(), closed_loop()
+    before = spread.poses.copy()
+    at_once.relax(ENOUGH)
+    n_calls = 0
+    while np.array_equal(spread.poses, before):
+        spread.relax(1)
+        n_calls += 1
+    assert n_calls > 10
+    np.testing.assert_array_equal(spread.poses, at_once.poses)
+
+
+def test_what_is_added_meanwhile_goes_along():
+    experience_map = closed_loop()
+    experience_map.relax(3)
+    for origin in (59, 60, 5):
+        pose = compose(experience_map.pose(origin), Pose2(1.0, 0.5, 0.3))
+        added = experience_map.add_experience(pose)
+        experience_map.add_link(origin, added, Pose2(1.0, 0.5, 0.3), False)
+    before = experience_map.poses.copy()
+    experience_map.relax(ENOUGH)
+    assert np.abs(experience_map.poses - before).max() > 0.1
+    for origin, target in ((59, 60), (60, 61), (5, 62)):
+        motion = between(experience_map.pose(origin), experience_map.pose(target))
+        assert motion == pytest.approx(Pose2(1.0, 0.5, 0.3))
+
+
+def test_a_link_that_agrees_does_not_hide_one_that_does_not():
+    experience_map = graph([(0, 0, 0), (3, 0, 0), (4, 0, 0)], [
+        (0, 1, (1, 0, 0)), (1, 2, (1, 0, 0))])
+    experience_map.relax(ENOUGH)
+    assert np.diff(experience_map.poses[:, 0]) == pytest.approx([1.0, 1.0], abs=1e-3)
+
+
+def move(experience_map):
+    experience_map.move(np.array([7]), experience_map.poses[[7]] + 0.2)
+
+
+def unlink(experience_map):
+    experience_map.remove_links(np.arange(len(experience_map.links)) == 20)
+
+
+@pytest.mark.parametrize('change', [move, unlink])
+def test_a_change_of_what_there_was_begins_it_anew(change):
+    begun, fresh = closed_loop(), closed_loop()
+    begun.relax(3)
+    for experience_map in (begun, fresh):
+        change(experience_map)
+        experience_map.relax(ENOUGH)
+    np.testing.assert_array_equal(begun.poses, fresh.poses)
+
+
+def test_a_link_that_comes_meanwhile_has_its_turn_after():
+    experience_map = closed_loop()
+    experience_map.relax(3)
+    experience_map.add_link(10, 40, Pose2(1.0, 1.0, 1.0), True)
+    experience_map.relax(ENOUGH)
+    one = experience_map.poses.copy()
+    experience_map.relax(ENOUGH)
+    assert np.abs(experience_map.poses - one).max() > 0.1
+
+
+def test_the_radius_is_half_the_diagonal_of_the_box_about_the_map():
+    experience_map = ExperienceMap()
+    assert experience_map.radius_m == 0.0
+    for pose in (Pose2(1.0, 1.0, 0.0), Pose2(4.0, 5.0, 0.0), Pose2(2.0, 1.0, 0.0)):
+        experience_map.add_experience(pose)
+    assert experience_map.radius_m == pytest.approx(2.5)
+    experience_map.add_experience(Pose2(1.0, -7.0, 0.0))
+    assert experience_map.radius_m == pytest.approx(0.5 * np.hypot(3.0, 12.0))
+    experience_map.move(np.array([3]), np.array([(1.0, 1.0, 0.0)]))
+    assert experience_map.radius_m == pytest.approx(2.5)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.core.geometry import (
-    between, compose, euler_to_quaternion, interpolate, invert, quaternion_to_euler, wrap_angle)
+    between, compose, euler_to_quaternion, interpolate, invert, quaternion_to_euler,
+    swap_frd_flu, swap_frd_flu_attitude, swap_ned_enu, swap_ned_enu_attitude, wrap_angle)
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
 
@@ -100,3 +101,53 @@ def test_rounding_does_not_throw_the_steepest_pitch_out_of_range():
     scale = 1 + 1e-12
     assert quaternion_to_euler(x * scale, y * scale, z * scale, w * scale)[1] == pytest.approx(
         pi / 2)
+
+
+@pytest.mark.parametrize('ned, enu', [
+    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
+    ((1.0, 2.0, 3.0), (2.0, 1.0, -3.0))])
+def test_north_east_down_is_east_north_up(ned, enu):
+    assert swap_ned_enu(*ned) == enu
+    assert swap_ned_enu(*enu) == ned
+
+
+def test_forward_right_down_is_forward_left_up():
+    assert swap_frd_flu(1.0, 2.0, 3.0) == (1.0, -2.0, -3.0)
+    assert swap_frd_flu(1.0, -2.0, -3.0) == (1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize('swap', [swap_ned_enu, swap_frd_flu])
+def test_an_unknown_coordinate_leaves_the_others_known(swap):
+    assert np.isnan(swap(1.0, 2.0, np.nan)).tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize('ned, enu', [
+    ((0.0, 0.0, 0.0), (0.0, 0.0, pi / 2)),          # looks north
+    ((0.0, 0.0, pi / 2), (0.0, 0.0, 0.0)),          # looks east
+    ((0.0, 0.0, pi), (0.0, 0.0, -pi / 2)),          # looks south
+    ((0.1, 0.0, pi / 2), (0.1, 0.0, 0.0)),          # right wing down in both
+    ((0.0, 0.2, pi / 2), (0.0, -0.2, 0.0))])        # nose up: turned about the left axis, less
+def test_attitudes_of_plain_headings(ned, enu):
+    assert swap_ned_enu_attitude(*ned) == pytest.approx(enu)
+
+
+@pytest.mark.parametrize('axes, swap, swap_attitude', [
+    (np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]), swap_ned_enu, swap_ned_enu_attitude),
+    (np.diag([1, -1, -1]), swap_frd_flu, swap_frd_flu_attitude)])
+def test_attitudes_turn_as_matrices_do_and_come_back(axes, swap, swap_attitude):
+    body = np.diag([1, -1, -1])
+    np.testing.assert_array_equal(swap(*np.eye(3)), axes.T)
+    for attitude in product((-3.0, -1.0, 0.0, 2.0), (-1.5, 0.0, 0.7), (-3.1, 0.0, 1.2)):
+        swapped = swap_attitude(*attitude)
+        np.testing.assert_allclose(
+            rotation(swapped), axes @ rotation(attitude) @ body, atol=1e-12)
+        np.testing.assert_allclose(swap_attitude(*swapped), attitude, atol=1e-12)
+
+
+def rotation(attitude):
+    """Return the matrix of roll, pitch and yaw: about x, then y, then z of the frame."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(attitude), np.sin(attitude)
+    roll = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return yaw @ pitch @ roll

@@ -137,6 +137,42 @@ def test_a_book_of_one_code_knows_it_again():
     assert cells.likeness(np.array([2.0, 4.0])) == pytest.approx([1.0])
 
 
+def large_book(monkeypatch, n=300, n_values=200, n_exact=20):
+    """Return codes that have much in common, the large book of them, and the plain one."""
+    rng = np.random.default_rng(2)
+    codes = (4.0 + rng.normal(size=(n, n_values))).astype(np.float32)
+    plain = book(codes, CentredCells())
+    monkeypatch.setattr(CentredCells, 'LARGE', 100)
+    monkeypatch.setattr(CentredCells, 'N_EXACT', n_exact)
+    return codes, book(codes, CentredCells()), plain
+
+
+def test_the_best_cells_of_a_large_book_are_compared_as_those_of_a_small_one(monkeypatch):
+    codes, large, plain = large_book(monkeypatch)
+    noise = np.random.default_rng(3).normal(size=codes.shape)
+    for k in range(0, 300, 20):
+        query = codes[k] + 0.5 * noise[k]
+        monkeypatch.setattr(CentredCells, 'LARGE', 1000)
+        expected = plain.likeness(query)
+        monkeypatch.setattr(CentredCells, 'LARGE', 100)
+        found = large.likeness(query)
+        assert np.argmax(found) == k
+        assert found[k] == pytest.approx(expected[k], abs=1e-6)
+        assert np.count_nonzero(np.abs(found - expected) < 1e-6) >= CentredCells.N_EXACT
+        assert np.std(found - expected) < 0.08
+
+
+def test_a_large_book_is_alike_however_it_came_about_and_knows_blank_codes(monkeypatch):
+    codes, large, _ = large_book(monkeypatch)
+    codes[7] = 0.0
+    large.replace(codes[:200])
+    large.extend(codes[200:])
+    assert large.likeness(codes[5])[7] == 0.0
+    assert not large.likeness(codes[7]).any()
+    np.testing.assert_allclose(
+        large.likeness(codes[5]), book(codes, CentredCells()).likeness(codes[5]), atol=1e-5)
+
+
 # Sequences
 
 @pytest.mark.parametrize('length, slack', [(1, 1), (2, 0), (3, 1), (5, 2), (12, 1)])
@@ -189,6 +225,17 @@ def test_a_view_that_does_not_continue_starts_a_run_of_its_own():
     score.clear()
     assert score.update(np.ones(4)) is None
     assert score.update(np.ones(4)) is not None
+
+
+def test_a_run_that_was_cut_short_has_the_mean_of_what_there_is():
+    score, rows = SequenceScore(4, slack=0, shortest=2), np.eye(5) + 0.2
+    assert score.update(rows[0]) is None
+    np.testing.assert_allclose(score.update(rows[1]), [-0.4, 1.2, 0.2, 0.2, 0.2])
+    assert not score.is_whole
+    for row in rows[2:4]:
+        result = score.update(row)
+    assert score.is_whole
+    assert result[3] == pytest.approx(1.2)
 
 
 def test_similarities_are_left_as_they_were():

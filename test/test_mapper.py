@@ -1,5 +1,6 @@
 """RatSLAM's three parts together, in a made-up world where every place has a code of its own."""
 
+from copy import copy
 from functools import lru_cache
 from math import pi
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import Config
-from dlsc_qbs_ros.core.geometry import compose
+from dlsc_qbs_ros.core.geometry import between, compose
 from dlsc_qbs_ros.core.types import IDENTITY, OdometrySample, Pose2
 from dlsc_qbs_ros.pipeline.mapper import Mapper
 
@@ -127,6 +128,25 @@ def test_a_drone_that_hovers_adds_nothing():
     assert robot.mapper.pose()[:2] == pytest.approx(pose[:2], abs=0.1)
 
 
+def test_ten_minutes_of_hovering_and_swaying_add_a_handful_of_view_cells():
+    """By 0.1 m and 0.05 rad, with the views of the places that it sways to."""
+    rng = np.random.default_rng(0)
+    waves, phase = rng.normal(size=(128, 3)) / (0.5, 0.5, 0.4), rng.uniform(0.0, 6.3, 128)
+    sway = np.zeros(3)
+    robot = Robot(**{
+        'pose_cells.size_xy': 8, 'ratslam.sequence_length': 14, 'ratslam.threshold': 0.8,
+        'ratslam.tracking_threshold': 0.6})
+    before = IDENTITY
+    for _ in range(3000):
+        sway = 0.8 * sway + 0.6 * rng.normal(size=3) * (0.1, 0.1, 0.05)
+        here = Pose2(*sway.tolist())
+        robot.drive([between(before, here)], [np.maximum(np.cos(waves @ sway + phase), 0.0)],
+                    measured=[between(before, here)])
+        before = here
+    assert len(robot.mapper.view_cells) <= 20
+    assert len(robot.mapper.map) <= 20
+
+
 def test_without_matches_the_pose_is_that_of_the_odometry():
     robot = Robot(**{'ratslam.min_age_s': 1e5})
     codes = codes_along(len(LAP))
@@ -139,12 +159,12 @@ def test_without_matches_the_pose_is_that_of_the_odometry():
     assert correction == pytest.approx(IDENTITY, abs=1e-6)
 
 
-def test_the_first_pose_is_that_of_the_odometry_and_nothing_is_uncertain():
+def test_the_first_pose_is_that_of_the_odometry_known_as_well_as_any_place():
     robot = Robot()
     robot.reset_odometry()
     robot.see(codes_along(10)[0])
     assert robot.mapper.pose() == pytest.approx(Pose2(50.0, -20.0, 2.0))
-    assert robot.mapper.sigmas() == (0.0, 0.0)
+    assert robot.mapper.sigmas() == (0.3, 0.1)
 
 
 @pytest.mark.parametrize('length', [1, 2])
@@ -226,6 +246,21 @@ def test_noise_closes_nothing():
     assert not robot.mapper.map.is_closure.any()
 
 
+def test_a_match_that_does_not_move_the_packet_makes_the_robot_no_surer_of_its_pose():
+    """One view over and over: what the first match makes, of that view cell, is not met next."""
+    robot, codes = Robot(**{
+        'ratslam.sequence_length': 1, 'pose_cells.injection': 0.15}), codes_along(len(LAP))
+    codes[180:] = 0.0
+    motions = LAP + LAP[:60]
+    robot.drive(motions, np.concatenate([codes, np.zeros((60, 64))]),
+                measured=drifting(motions, yaw_bias_rad=0.003))
+    drift = copy(robot.mapper.drift)
+    made = len(robot.mapper.view_cells)
+    robot.drive([STEP] * 9, [codes[60]] * 9)
+    assert len(robot.mapper.view_cells) == made
+    assert robot.mapper.drift.yaw_sigma_rad() > drift.yaw_sigma_rad()
+
+
 # What was a mistake
 
 @lru_cache(maxsize=None)
@@ -303,6 +338,22 @@ def test_as_published_the_map_is_relaxed_by_sweeps(monkeypatch):
     assert len(robot.mapper.map) > 0
 
 
+# Gaps
+
+def test_after_a_gap_a_place_where_it_is_expected_is_known_by_a_shorter_run():
+    robot, codes = Robot(**{'ratslam.sequence_length': 12}), codes_along(len(LAP))
+    robot.drive(LAP + LAP[:60], np.concatenate([codes, codes[:60]]))
+    for _ in range(12):
+        robot._stamp_ns += PERIOD_NS
+        robot.truth, robot._odometry = (
+            compose(pose, STEP) for pose in (robot.truth, robot._odometry))
+    n = len(robot.mapper.view_cells)
+    robot.drive([STEP] * 7, codes[72:])
+    assert len(robot.mapper.view_cells) == n + 3  # so many are too few
+    robot.drive([STEP] * 3, codes[79:])
+    assert len(robot.mapper.view_cells) == n + 3
+
+
 # Segments
 
 def test_no_link_spans_a_reset_of_the_odometry():
@@ -349,19 +400,21 @@ def test_a_robot_must_see_a_whole_run_of_views_after_a_reset():
     assert robot.mapper.sigmas()[0] == np.inf
 
 
-def test_a_match_right_after_a_reset_moves_the_robot_without_a_link():
-    """It is as sure of the place as a match can be; what follows is linked to that place."""
+def test_after_a_reset_a_place_is_believed_at_the_second_run_of_views_and_joined_by_one_link():
+    """It is as sure of the place as a match can be; the old part of the map stays."""
     robot, codes = Robot(**{'ratslam.sequence_length': 1}), codes_along(len(LAP))
     robot.drive(LAP[:150], codes)
-    n, links = len(robot.mapper.map), robot.mapper.map.links.copy()
+    n, links, poses = len(robot.mapper.map), len(robot.mapper.map.links), robot.mapper.map.poses
+    before = poses.copy()
     robot.reset_odometry()
     robot.see(codes[0])
-    assert robot.mapper.place.experience == 0
-    assert robot.mapper.pose() == pytest.approx(robot.mapper.map.pose(0))
-    assert robot.mapper.sigmas() == pytest.approx((0.3, 0.1))
-    np.testing.assert_array_equal(robot.mapper.map.links, links)
-    robot.drive([STEP] * 5, codes_along(100, seed=7))
-    assert robot.mapper.map.links[len(links):].tolist() == [[0, n]]
+    assert robot.mapper.sigmas() == (np.inf, np.inf)
+    robot.drive([STEP] * 9, codes[1:])
+    assert robot.mapper.place.experience == 3
+    assert robot.mapper.pose() == pytest.approx(robot.mapper.map.pose(3))
+    assert robot.mapper.sigmas() == pytest.approx((0.3 * 2 ** 0.5, 0.1 * 2 ** 0.5))
+    assert robot.mapper.map.links[links:].tolist() == [[n, n + 1], [n + 1, n + 2], [n + 2, 3]]
+    np.testing.assert_allclose(robot.mapper.map.poses[:n], before, atol=1e-9)
 
 
 def test_a_place_stays_old_when_the_clock_falls_back():
@@ -397,10 +450,10 @@ def test_a_match_that_knows_the_pose_puts_the_robot_where_the_place_is():
 def test_the_packet_of_the_pose_cells_goes_with_the_odometry():
     robot = Robot()
     robot.see(codes_along(100)[0])
-    start = robot.mapper.pose_cells.position()
+    start = robot.mapper.packet.cells.position()
     motions = [Pose2(0.5, 0.0, 0.0)] * 10
     robot.drive(motions, codes_along(100), measured=motions)
-    moved = robot.mapper.pose_cells.distance(robot.mapper.pose_cells.position(), start)
+    moved = robot.mapper.packet.cells.distance(robot.mapper.packet.cells.position(), start)
     assert moved == pytest.approx(5.0, abs=0.5)
 
 
@@ -412,8 +465,8 @@ def test_a_view_met_over_and_over_stops_injecting_until_it_has_rested(monkeypatc
     robot = Robot(**{
         'ratslam.sequence_length': 1, 'ratslam.min_age_s': 0.0, 'ratslam.min_path_m': 0.0,
         'ratslam.gate_sigmas': 3.0, 'pose_cells.restore': 0.05, 'pose_cells.injection': 1.0})
-    inject = robot.mapper.pose_cells.inject
-    monkeypatch.setattr(robot.mapper.pose_cells, 'inject', lambda position, energy: (
+    inject = robot.mapper.packet.cells.inject
+    monkeypatch.setattr(robot.mapper.packet.cells, 'inject', lambda position, energy: (
         energies.append(energy), inject(position, energy)))
     turn = Pose2(0.0, 0.0, 0.21)
     code = codes_along(10)[0]
@@ -436,7 +489,7 @@ def test_a_new_code_book_is_matched_by_new_codes():
     rotation, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(64, 64)))
     robot, codes = Robot(), codes_along(len(LAP))
     robot.drive(LAP, codes)
-    robot.mapper.replace_codes(robot.mapper.view_cells.kept @ rotation)
+    robot.mapper.view_cells.replace(robot.mapper.view_cells.kept @ rotation)
     robot.drive(LAP, codes @ rotation)
     assert robot.mapper.map.is_closure.any()
     assert robot.closure_gaps().max() < 0.8

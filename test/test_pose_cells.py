@@ -93,6 +93,12 @@ def test_activity_stays_a_distribution(injection):
         assert (cells.activity >= 0.0).all()
 
 
+def test_a_packet_that_is_placed_is_there_alone():
+    cells = settled()
+    cells.place(np.array([3.2, 20.9, 35.8]))
+    assert cells.activity.sum() == cells.activity[0, 0, 3] == 1.0
+
+
 def test_a_packet_at_rest_stays_one_packet_where_it_is():
     cells = settled(18)
     before = cells.activity.copy()

@@ -29,6 +29,8 @@ class Chain(NamedTuple):
         How long each motion took.
     variances : ndarray of shape (n, 3)
         Of the motions: along, across and of the heading.
+    segments : ndarray of shape (n,), optional
+        Which constant errors of the odometry each motion has; by default all have the same.
 
     """
 
@@ -36,6 +38,7 @@ class Chain(NamedTuple):
     motions: np.ndarray
     seconds: np.ndarray
     variances: np.ndarray
+    segments: np.ndarray | None = None
 
 
 def contradiction(chain: Chain, ends: np.ndarray, variances: np.ndarray,
@@ -57,10 +60,11 @@ def surprises(chain: Chain, ends: np.ndarray, variances: np.ndarray,
     Return by how much chi-square falls when a run of closures is left out, for each run.
 
     The unknowns x are the noise of every motion and the odometry's constant errors of yaw rate
-    and of scale, of variances V. Each closure says "here again", with the variances R; all of
-    them together r = H x + noise, of covariance K = H V H^T + R. The chi-square of the least
-    squares is r^T K^-1 r, and with l = K^-1 r, leaving out the run g takes
-    l_g^T ([K^-1]_gg)^-1 l_g from it. Only the closures' number is cubed, not that of the nodes.
+    and of scale in each segment, of variances V. Each closure says "here again", with the
+    variances R; all of them together r = H x + noise, of covariance K = H V H^T + R. The
+    chi-square of the least squares is r^T K^-1 r, and with l = K^-1 r, leaving out the run g
+    takes l_g^T ([K^-1]_gg)^-1 l_g from it. Only the closures' number is cubed, not that of the
+    nodes.
 
     Parameters
     ----------
@@ -81,7 +85,8 @@ def surprises(chain: Chain, ends: np.ndarray, variances: np.ndarray,
 
     """
     by_calibration = _by_calibration(chain)
-    prior = np.concatenate([chain.variances.ravel(), calibration_variances])
+    prior = np.concatenate([chain.variances.ravel(), np.tile(
+        calibration_variances, by_calibration.shape[1] // 2)])
     poses = chain.poses
     for _ in range(N_ITERATIONS):
         by_motion = _jacobian(poses, ends)
@@ -106,11 +111,14 @@ def _fall(multipliers: np.ndarray, information: np.ndarray) -> float:
 
 
 def _by_calibration(chain: Chain) -> np.ndarray:
-    """Return what a unit of yaw rate error and of scale takes from the motions: (3 n, 2)."""
+    """Return what a unit of yaw rate error and of scale, by segment, takes from the motions."""
     x, y, _ = chain.motions.T
     half = 0.5 * chain.seconds
-    return np.stack([np.column_stack([half * y, -half * x, -chain.seconds]),
-                     np.column_stack([-x, -y, np.zeros_like(x)])], axis=2).reshape(-1, 2)
+    of_all = np.stack([np.column_stack([half * y, -half * x, -chain.seconds]),
+                       np.column_stack([-x, -y, np.zeros_like(x)])], axis=2)
+    segments = np.zeros_like(x) if chain.segments is None else chain.segments
+    is_of = segments[:, None] == np.unique(segments)
+    return np.einsum('nij,ns->nisj', of_all, is_of).reshape(3 * len(x), -1)
 
 
 def _path(start: np.ndarray, motions: np.ndarray) -> np.ndarray:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from math import hypot, pi, sqrt
 
+import numpy as np
+
 from .types import Pose2
 from ..config import OdometryConfig
 
@@ -22,10 +24,23 @@ class Drift:
         self._config = config
         self.anchor(0.0, 0.0)
 
+    def reconfigure(self, config: OdometryConfig) -> None:
+        """Go on with other deviations, as if they had held since the anchor."""
+        self._config = config
+
     def anchor(self, position_sigma_m: float, yaw_sigma_rad: float) -> None:
         """Start again from a pose known this well."""
         self._anchor_sigma = position_sigma_m, yaw_sigma_rad
         self._path_m = self._time_s = 0.0
+
+    def state(self) -> np.ndarray:
+        """Return what it is made of, (4,): both deviations at the anchor, metres, seconds."""
+        return np.array([*self._anchor_sigma, self._path_m, self._time_s])
+
+    def restore(self, state: np.ndarray) -> None:
+        """Go on from what `state` returned."""
+        *anchor_sigma, self._path_m, self._time_s = state.tolist()
+        self._anchor_sigma = tuple(anchor_sigma)
 
     def move(self, motion: Pose2, seconds: float) -> None:
         """Account for one motion of the odometry."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Iterator
+
 import numpy as np
 
-from .geometry import wrap_angle
+from .geometry import between, compose, wrap_angle
+from .relaxation import relaxation
 from .rows import Rows
 from .types import Pose2
 
@@ -26,12 +29,20 @@ class ExperienceMap:
 
     """
 
+    # A link that is this near to the poses, in metres and radians, pulls at nothing.
+    AGREEMENT = 1e-6
+
     def __init__(self):
         self._poses = Rows(np.zeros((0, 3)))
         self._links = Rows(np.zeros((0, 2), np.int64))
         self._motions = Rows(np.zeros((0, 3)))
         self._is_closure = Rows(np.zeros(0, bool))
+        # The lowest and highest x and y; None where they are not known any more.
+        self._box: tuple[np.ndarray, np.ndarray] | None = None
         self._joined: set[tuple[int, int]] = set()
+        # Whether a link may disagree with the poses; and the work on those that did.
+        self._is_strained = False
+        self._relaxation: Iterator[np.ndarray | None] | None = None
 
     def __len__(self) -> int:
         return len(self._poses.values)
@@ -41,6 +52,16 @@ class ExperienceMap:
     motions = property(lambda self: self._motions.values)
     is_closure = property(lambda self: self._is_closure.values)
 
+    @property
+    def radius_m(self) -> float:
+        """Half the diagonal of the box about all experiences."""
+        if not len(self):
+            return 0.0
+        if self._box is None:
+            self._box = self.poses[:, :2].min(axis=0), self.poses[:, :2].max(axis=0)
+        low, high = self._box
+        return 0.5 * float(np.hypot(*(high - low)))
+
     def pose(self, experience: int) -> Pose2:
         """Return the pose of one experience."""
         return Pose2(*self.poses[experience].tolist())
@@ -48,6 +69,9 @@ class ExperienceMap:
     def add_experience(self, pose: Pose2) -> int:
         """Add an experience at a pose and return its index."""
         self._poses.append(pose)
+        if self._box is not None:
+            low, high = self._box
+            self._box = np.minimum(low, pose[:2]), np.maximum(high, pose[:2])
         return len(self) - 1
 
     def add_link(self, origin: int, target: int, motion: Pose2, is_closure: bool) -> bool:
@@ -58,6 +82,8 @@ class ExperienceMap:
         self._links.append((origin, target))
         self._motions.append(motion)
         self._is_closure.append(is_closure)
+        error = between(compose(self.pose(origin), motion), self.pose(target))
+        self._is_strained |= max(map(abs, error)) > self.AGREEMENT
         return True
 
     def remove_links(self, is_removed: np.ndarray) -> None:
@@ -67,29 +93,43 @@ class ExperienceMap:
         self._links, self._motions, self._is_closure = (
             Rows(rows.values[~is_removed])
             for rows in (self._links, self._motions, self._is_closure))
+        self._strain()
+
+    def move(self, moved: np.ndarray, poses: np.ndarray) -> None:
+        """Put some experiences, given by an index array or mask, at poses of shape (m, 3)."""
+        self.poses[moved] = poses
+        self._box = None
+        self._strain()
 
     def relax(self, n_steps: int) -> None:
         """
-        Move the experiences towards agreement with their links.
+        Move the experiences into agreement with their links, as `relaxation` finds it.
 
-        RatSLAM's relaxation moves both ends of each link by a share of its error, again and
-        again. Its fixed point solves two linear systems with the graph's Laplacian, first for
-        the facings, then for the positions given these; conjugate gradients go to the same
-        point in about the square root of the number of sweeps. Neither system fixes the mean:
-        the map as a whole stays where it is.
+        That much work is done at a time: a large map moves some calls later, in one go, as it
+        was at the first of them. What was added meanwhile goes along, as its links tell.
         """
-        if not len(self.links):
-            return
-        origin, target = self.links.T
-        poses = self.poses
-        turn = wrap_angle(poses[target, 2] - poses[origin, 2] - self.motions[:, 2])
-        poses[:, 2] = wrap_angle(
-            poses[:, 2] - self._solve(turn[:, None], n_steps)[:, 0])
-        c, s = np.cos(poses[origin, 2]), np.sin(poses[origin, 2])
-        along, across = self.motions[:, 0], self.motions[:, 1]
-        predicted = np.column_stack([c * along - s * across, s * along + c * across])
-        error = poses[target, :2] - poses[origin, :2] - predicted
-        poses[:, :2] -= self._solve(error, n_steps)
+        if self._relaxation is None and self._is_strained:
+            self._is_strained = False
+            self._relaxation = relaxation(self.poses.copy(), self.links, self.motions)
+        for _ in range(n_steps if self._relaxation else 0):
+            relaxed = next(self._relaxation)
+            if relaxed is not None:
+                self._relaxation = None
+                self._take_over(relaxed)
+                break
+
+    def _strain(self) -> None:
+        """Begin the relaxation anew: what it set out from is not so any more."""
+        self._relaxation, self._is_strained = None, True
+
+    def _take_over(self, relaxed: np.ndarray) -> None:
+        """Put the first experiences where they belong, and the others where those lead."""
+        n, poses = len(relaxed), self.poses
+        poses[:n] = relaxed
+        self._box = None
+        for link in np.flatnonzero((self.links[:, 1] >= n) & ~self.is_closure).tolist():
+            origin, target = self.links[link].tolist()
+            poses[target] = compose(self.pose(origin), Pose2(*self.motions[link].tolist()))
 
     def sweep(self, n_sweeps: int, share: float = 0.5) -> None:
         """
@@ -114,40 +154,4 @@ class ExperienceMap:
                 moved = np.bincount(target, error, n) - np.bincount(origin, error, n)
                 poses[:, axis] += share * moved / degree
         poses[:, 2] = wrap_angle(poses[:, 2])
-
-    def _solve(self, link_errors: np.ndarray, n_steps: int, tolerance: float = 1e-4
-               ) -> np.ndarray:
-        """
-        Return the correction of every experience that best explains the links' errors.
-
-        Conjugate gradients, preconditioned by the number of links, on B^T B x = B^T errors, B
-        the graph's incidence matrix; all columns at once.
-        """
-        origin, target = self.links.T
-        n = len(self)
-
-        def scatter(per_link: np.ndarray) -> np.ndarray:
-            return np.column_stack([
-                np.bincount(target, column, n) - np.bincount(origin, column, n)
-                for column in per_link.T])
-
-        degree = np.maximum(np.bincount(origin, minlength=n) + np.bincount(target, minlength=n),
-                            1)[:, None]
-        x = np.zeros((n, link_errors.shape[1]))
-        residual = scatter(link_errors)
-        conditioned = residual / degree
-        direction = conditioned
-        energy = np.sum(residual * conditioned, axis=0)
-        for _ in range(n_steps):
-            if np.abs(residual).max() < tolerance:
-                break
-            image = scatter(direction[target] - direction[origin])
-            curvature = np.sum(direction * image, axis=0)
-            step = np.divide(energy, curvature, out=np.zeros_like(energy), where=curvature > 0)
-            x += step * direction
-            residual = residual - step * image
-            conditioned = residual / degree
-            previous, energy = energy, np.sum(residual * conditioned, axis=0)
-            ratio = np.divide(energy, previous, out=np.zeros_like(energy), where=previous > 0)
-            direction = conditioned + ratio * direction
-        return x
+        self._box = None

@@ -79,3 +79,29 @@ def euler_to_quaternion(roll: float, pitch: float, yaw: float
             cr * sp * cy + sr * cp * sy,
             cr * cp * sy - sr * sp * cy,
             cr * cp * cy + sr * sp * sy)
+
+
+def swap_ned_enu(x, y, z):
+    """
+    Return a vector of NED axes in ENU axes, or the other way round.
+
+    By permutation and sign, as a matrix product would spread a NaN over all three.
+    """
+    return y, x, -z
+
+
+def swap_frd_flu(x, y, z):
+    """Return a vector of FRD axes in FLU axes, or the other way round."""
+    return x, -y, -z
+
+
+def swap_ned_enu_attitude(roll_rad: float, pitch_rad: float, yaw_rad: float
+                          ) -> tuple[float, float, float]:
+    """Return the attitude of an FRD body in NED as that of the FLU body in ENU, or back."""
+    return roll_rad, -pitch_rad, wrap_angle(pi / 2 - yaw_rad)
+
+
+def swap_frd_flu_attitude(roll_rad: float, pitch_rad: float, yaw_rad: float
+                          ) -> tuple[float, float, float]:
+    """Return the attitude of an FRD body in FRD axes as that of the FLU body in FLU, or back."""
+    return roll_rad, -pitch_rad, wrap_angle(-yaw_rad)

@@ -78,6 +78,9 @@ class ViewCells:
 
     def __init__(self, measure: Measure):
         self._measure = measure
+        self._clear()
+
+    def _clear(self) -> None:
         self._kept: Rows | None = None
         self._is_blank = Rows(np.zeros(0, bool))
 
@@ -88,17 +91,23 @@ class ViewCells:
 
     def add(self, descriptor: np.ndarray) -> int:
         """Keep the descriptor of a new view cell and return its index."""
-        kept = self._measure.prepare(descriptor)
-        if self._kept is None:
-            self._kept = Rows(np.zeros((0, *kept.shape), kept.dtype))
-        self._kept.append(kept)
-        self._is_blank.append(not descriptor.any())
+        self._keep(self._measure.prepare(descriptor)[None], np.array([not descriptor.any()]))
         return len(self) - 1
 
+    def extend(self, codes: np.ndarray) -> None:
+        """Keep the codes (n, n_values) of new view cells."""
+        self._keep(self._measure.prepare(codes), ~codes.any(axis=1))
+
     def replace(self, codes: np.ndarray) -> None:
-        """Swap the whole code book (n_cells, n_values), after re-encoding."""
-        self._kept = Rows(self._measure.prepare(codes))
-        self._is_blank = Rows(~codes.any(axis=1))
+        """Keep codes (n_cells, n_values) in place of all."""
+        self._clear()
+        self.extend(codes)
+
+    def _keep(self, kept: np.ndarray, is_blank: np.ndarray) -> None:
+        if self._kept is None:
+            self._kept = Rows(np.zeros((0, *kept.shape[1:]), kept.dtype))
+        self._kept.extend(kept)
+        self._is_blank.extend(is_blank)
 
     def likeness(self, descriptor: np.ndarray) -> np.ndarray:
         """Return how alike a descriptor and every view cell are, shape (n_cells,)."""
@@ -114,56 +123,97 @@ class CentredCells(ViewCells):
     """
     The code book of codes that have much in common, compared by the cosine about their mean.
 
-    The share `COMMON` of the mean of all view cells is taken from every code. All that takes are
-    the cosines, and for each cell the sum of its own with all others.
+    The share `COMMON` of the mean of all is taken from every code. A large book is compared in
+    two steps: all codes in a random projection to `N_COARSE` values, which keeps cosines within
+    about 0.1, then the `N_EXACT` best in full. A run of views averages what error is left.
     """
+
+    LARGE = 1000
+    N_COARSE = 64
+    N_EXACT = 256
 
     def __init__(self):
         super().__init__(Cosine())
-        self._sums = Rows(np.zeros(0))
 
-    def add(self, descriptor: np.ndarray) -> int:
-        """Keep the code of a new view cell and return its index."""
-        cosines = super().likeness(descriptor)
-        self._sums.values[:] += cosines
-        self._sums.append(cosines.sum() + descriptor.any())
-        return super().add(descriptor)
+    def _clear(self) -> None:
+        super()._clear()
+        self._total: np.ndarray | None = None
+        self._projection: np.ndarray | None = None
+        # Per view cell, in the projection: its code and the square of its length.
+        self._coarse = Rows(np.zeros((0, self.N_COARSE), np.float32))
+        self._squares = Rows(np.zeros(0, np.float32))
 
-    def replace(self, codes: np.ndarray) -> None:
-        """Swap the whole code book (n_cells, n_values), after re-encoding."""
-        super().replace(codes)
-        self._sums = Rows(self.kept @ self.kept.sum(axis=0, dtype=float))
+    def _keep(self, kept: np.ndarray, is_blank: np.ndarray) -> None:
+        super()._keep(kept, is_blank)
+        if self._total is None:
+            self._total = np.zeros(kept.shape[1])
+            rows = np.random.default_rng(0).normal(size=(kept.shape[1], self.N_COARSE))
+            self._projection = (rows / np.sqrt(self.N_COARSE)).astype(np.float32)
+        self._total += kept.sum(axis=0, dtype=float)
+        coarse = kept @ self._projection
+        self._coarse.extend(coarse)
+        self._squares.extend(np.einsum('ij,ij->i', coarse, coarse))
 
     def likeness(self, descriptor: np.ndarray) -> np.ndarray:
         """Return the cosine of a code and every view cell about the mean, shape (n_cells,)."""
-        cosines = super().likeness(descriptor)
-        if not len(self):
-            return cosines
-        with_query = COMMON * cosines.mean()
-        with_cells = COMMON * self._sums.values / len(self)
-        of_mean = COMMON ** 2 * self._sums.values.mean() / len(self)
-        squares = (1.0 - 2.0 * with_cells + of_mean) * (1.0 - 2.0 * with_query + of_mean)
-        centred = cosines - with_query - with_cells + of_mean
-        is_blank = cosines == 0.0
-        return np.where(is_blank, 0.0, centred / np.sqrt(np.maximum(squares, 1e-12)))
+        if not len(self) or not descriptor.any():
+            return np.zeros(len(self), np.float32)
+        pair = np.column_stack([self._measure.prepare(descriptor),
+                                self._total / len(self)]).astype(np.float32)
+        if len(self) <= self.LARGE:
+            centred = _centred(self.kept @ pair, pair, np.float32(1.0))
+        else:
+            coarse = self._projection.T @ pair
+            centred = _centred(self._coarse.values @ coarse, coarse, self._squares.values)
+            best = np.argpartition(centred, -self.N_EXACT)[-self.N_EXACT:]
+            centred[best] = _centred(self.kept[best] @ pair, pair, np.float32(1.0))
+        return np.where(self._is_blank.values, np.float32(0.0), centred)
+
+
+def _centred(products: np.ndarray, pair: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """
+    Return the cosines of a query and n codes, all less a share of their mean.
+
+    Parameters
+    ----------
+    products : ndarray of shape (n, 2), float32
+        Of each code with the query and with the mean.
+    pair : ndarray of shape (n_values, 2), float32
+        The query and the mean.
+    squares : ndarray of shape (n,) or ()
+        Of the lengths of the codes.
+
+    """
+    (of_query, with_query), (_, of_mean) = pair.T @ pair
+    with_query, with_cells, of_mean = (
+        COMMON * with_query, COMMON * products[:, 1], COMMON ** 2 * of_mean)
+    energies = (squares - 2.0 * with_cells + of_mean) * (of_query - 2.0 * with_query + of_mean)
+    return ((products[:, 0] - with_query - with_cells + of_mean)
+            / np.sqrt(np.maximum(energies, np.float32(1e-12))))
 
 
 class SequenceScore:
     """
     The mean similarity of the last views to a run of view cells that were made in a row.
 
-    A single view of one shelf looks like one of the next; a run of them less so. View cells
-    are made at equal distances, so a second pass meets them at one per view, give or take
-    `slack` where the two passes are out of step.
+    A single view of one shelf looks like one of the next; a run of them less so. View cells are
+    made at equal distances: a second pass meets one per view, give or take `slack`.
     """
 
-    def __init__(self, length: int, slack: int = 1):
-        self._rows: deque[np.ndarray] = deque(maxlen=length)
+    def __init__(self, length: int, slack: int = 1, shortest: int | None = None):
+        self._shortest = length if shortest is None else min(shortest, length)
+        # Of each view before, the best similarity within the slack of every cell.
+        self._best: deque[np.ndarray] = deque(maxlen=length)
         self._slack = slack
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether so many views came since the last gap as make a run."""
+        return len(self._best) == self._best.maxlen
 
     def clear(self) -> None:
         """Forget the views so far: the next one does not continue them."""
-        self._rows.clear()
+        self._best.clear()
 
     def update(self, similarities: np.ndarray) -> np.ndarray | None:
         """
@@ -172,21 +222,29 @@ class SequenceScore:
         Returns
         -------
         ndarray of shape (n_cells,) or None
-            The score of the run that ends in each view cell; None until `length` views came.
+            The score of the run that ends in each view cell; None until `shortest` views came,
+            which is `length` if left out.
 
         """
-        self._rows.append(similarities)
-        if len(self._rows) < self._rows.maxlen:
+        self._best.append(_best_around(similarities, self._slack))
+        length, n_cells = len(self._best), len(similarities)
+        if length < self._shortest:
             return None
         total = similarities.copy()
-        for back, row in enumerate(list(self._rows)[-2::-1], start=1):
-            total += _best_around(row, back, self._slack, len(similarities))
-        return total / len(self._rows)
+        for back, best in enumerate(list(self._best)[-2::-1], start=1):
+            # `best` starts with the cell `slack` before the first, and that is `back` behind.
+            skipped = max(self._slack - back, 0)
+            start, best = max(back - self._slack, 0), best[skipped:]
+            end = max(min(start + len(best), n_cells), start)
+            total[:start] -= 1.0
+            total[start:end] += best[:end - start]
+            total[end:] -= 1.0
+        return total / length
 
 
-def _best_around(row: np.ndarray, back: int, slack: int, n_cells: int) -> np.ndarray:
-    """Return, for each cell j, the best of row[j - back - slack .. j - back + slack]."""
-    padded = np.full(n_cells + back + 2 * slack, -1.0, row.dtype)
-    padded[back + slack:back + slack + len(row)] = row
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * slack + 1)
-    return windows[:n_cells].max(axis=1)
+def _best_around(row: np.ndarray, slack: int) -> np.ndarray:
+    """Return the best of row[j - slack .. j + slack] for j from -slack to len(row) - 1 + slack."""
+    n = len(row) + 2 * slack
+    padded = np.full(n + 2 * slack, -1.0, row.dtype)
+    padded[2 * slack:2 * slack + len(row)] = row
+    return np.maximum.reduce([padded[k:k + n] for k in range(2 * slack + 1)])

@@ -40,6 +40,11 @@ class PoseCells:
                          2 * pi * np.fft.rfftfreq(config.size_xy))
         self._row_phase, self._column_phase = rows[None, :, None], columns[None, None, :]
 
+    def place(self, position: np.ndarray) -> None:
+        """Move the packet to a position, wherever it was."""
+        self.activity[:] = 0.0
+        self.inject(position, 1.0)
+
     def inject(self, position: np.ndarray, energy: float) -> None:
         """Add activity to the cell nearest to a position."""
         x, y, heading = np.rint(position).astype(int) % self.shape[::-1]

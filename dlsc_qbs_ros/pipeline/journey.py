@@ -3,55 +3,32 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
-from math import hypot, inf
+from math import hypot
 
 import numpy as np
 
+from .pieces import Pieces
+from .visits import Visits
 from ..config import Config
 from ..core.consistency import Chain, contradiction
 from ..core.drift import Drift
-from ..core.experience_map import ExperienceMap
-from ..core.geometry import between, between_rows, compose, compose_rows, invert
-from ..core.rows import Rows
-from ..core.types import IDENTITY, Pose2
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the robot stands, or stood: a motion after a visit; where that was may be revised."""
-
-    journey: Journey
-    visit: int
-    since: Pose2
-
-    @property
-    def experience(self) -> int:
-        """Return the experience that the place is given by."""
-        return int(self.journey.experience.values[self.visit])
-
-    @property
-    def offset(self) -> Pose2:
-        """Return the pose in the frame of the experience."""
-        return compose(self.journey.offset_at(self.visit), self.since)
+from ..core.geometry import between, between_rows, compose
+from ..core.types import Pose2
 
 
 class Journey:
     """
-    The visits to experiences, and the links that these make in the map.
+    The matches on the way, and which of them are to be believed.
 
-    A visit creates an experience or meets an old one, and is linked to the visit before it,
-    unless odometry broke in between. Visits that meet old experiences without a gap are one run.
-    A run that contradicts odometry and the other runs can be taken back: its links go, odometry
-    bridges the gap, and what was created after it moves along.
+    Visits that meet old experiences without a gap are one run. A run that contradicts odometry
+    and the other runs can be taken back.
 
     Attributes
     ----------
-    map : ExperienceMap
+    visits : Visits
+    pieces : Pieces
     drift : Drift
-        Since the last visit that met an old experience.
-    experience : Rows of int64
-        The experience of each visit.
+        Since the last visit that met an old experience, or the start of the piece.
     undone : int
         How many runs were taken back.
 
@@ -67,80 +44,84 @@ class Journey:
     ASKEW = 2.0
     # Of a motion while odometry was broken: nobody knows.
     BREAK_VARIANCE = 1e4
+    NEVER_M = -1e9
 
     def __init__(self, config: Config):
         self._config = config.ratslam
         self._odometry = config.odometry
-        self.map = ExperienceMap()
+        self.visits = Visits()
+        self.pieces = Pieces(self.visits, config.ratslam.sequence_length)
         self.drift = Drift(config.odometry)
         self.undone = 0
-        self.experience = Rows(np.zeros(0, np.int64))
-        # Per visit: the pose in the frame of its experience, and by odometry alone; its run, 0
-        # for none; and the seconds, metres and breaks of odometry up to it.
-        self._offset = Rows(np.zeros((0, 3)))
-        self._track = Rows(np.zeros((0, 3)))
-        self._run = Rows(np.zeros(0, np.int64))
-        self._flown = Rows(np.zeros((0, 3)))
-        # Per experience: the visit that created it. Per link: the visit that made it.
-        self._birth = Rows(np.zeros(0, np.int64))
-        self._maker = Rows(np.zeros(0, np.int64))
-        # Now: the pose by odometry alone and since the last visit; and what is flown.
-        self._here = self._since = IDENTITY
-        self._so_far = np.zeros(3)
         # The visits that are tested as closures. A run is as few as it is pieces of news: ever
         # farther apart.
         self._closures: deque[int] = deque(maxlen=self.MAX_CLOSURES)
         self._n_runs = 0
         self._run_start_m = self._next_closure_m = 0.0
-        self._last_met_m = -inf
+        self._last_met_m = self.NEVER_M
+
+    def reconfigure(self, config: Config) -> None:
+        """Go on with other values of `live` parameters."""
+        self._config, self._odometry = config.ratslam, config.odometry
+        self.drift.reconfigure(config.odometry)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
+        return {
+            'closure_visits': np.array(self._closures, np.int64),
+            'robot_drift': self.drift.state(),
+            'run_counts': np.array([self._n_runs, self.undone]),
+            'run_metres': np.array(
+                [self._run_start_m, self._next_closure_m, self._last_met_m]),
+            **self.visits.state(), **self.pieces.state()}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on, where nothing was visited yet, from what `state` returned."""
+        self._closures.extend(state['closure_visits'].tolist())
+        self.drift.restore(state['robot_drift'])
+        self._n_runs, self.undone = state['run_counts'].tolist()
+        self._run_start_m, self._next_closure_m, self._last_met_m = state['run_metres'].tolist()
+        self.visits.restore(state)
+        self.pieces.restore(state)
 
     def move(self, motion: Pose2, seconds: float) -> None:
         """Carry the robot along with the odometry."""
-        self._here, self._since = compose(self._here, motion), compose(self._since, motion)
+        self.visits.move(motion, seconds)
         self.drift.move(motion, seconds)
-        self._so_far = self._so_far + (seconds, hypot(motion.x_m, motion.y_m), 0.0)
 
     def break_off(self) -> None:
         """Take note that nobody knows how the robot came from the last visit to here."""
-        self.drift.anchor(inf, inf)
-        self._so_far = self._so_far + (0.0, 0.0, 1.0)
+        self.drift.anchor(0.0, 0.0)
+        self._cut()
 
-    def place(self) -> Place | None:
-        """Return where the robot stands; None before the first visit."""
-        last = len(self.experience.values) - 1
-        return None if last < 0 else Place(self, last, self._since)
+    def put(self, experience: int, offset: Pose2) -> None:
+        """Take the robot to be at an offset from an old experience, without a visit."""
+        self.visits.put(experience, offset)
+        self.pieces.put(experience)
 
-    def offset_at(self, visit: int) -> Pose2:
-        """Return the robot's pose at a visit in the frame of the experience."""
-        return Pose2(*self._offset.values[visit].tolist())
-
-    def pose(self) -> Pose2:
-        """Return where the robot stands in the map."""
-        return compose(self._pose_at(len(self.experience.values) - 1), self._since)
-
-    def ages(self) -> np.ndarray:
-        """Return the seconds and metres flown since each experience was created, (n, 2)."""
-        return (self._so_far - self._flown.values[self._birth.values])[:, :2]
-
-    def create(self, pose: Pose2) -> None:
-        """Visit an experience that is new, at a pose in the map."""
-        self._birth.append(len(self.experience.values))
-        self._visit(self.map.add_experience(pose), IDENTITY, 0)
+    def settle(self) -> None:
+        """Visit the place that the robot was put to, so that the way on is linked to it."""
+        if self.visits.is_put:
+            place = self.visits.place()
+            self._cut()
+            self._n_runs += 1
+            self.visits.add(place.experience, place.offset, self._n_runs)
+            self.pieces.label()
 
     def meet(self, experience: int, offset: Pose2) -> bool:
         """Visit an old experience, at an offset from it; return whether that is news to test."""
-        expected = between(self.map.pose(experience), self.pose())
-        path_m = float(self._so_far[1])
-        if (path_m - self._last_met_m > self._config.min_path_m
-                or hypot(expected.x_m, expected.y_m) > self._config.tracking_distance_m):
-            self._n_runs += 1
-            self._run_start_m = self._next_closure_m = path_m
-        self._last_met_m = path_m
-        self._visit(experience, offset, self._n_runs)
+        path_m = self.visits.track().metres
+        self._begin_run(experience, path_m)
+        is_apart = self.pieces.is_apart(experience)
+        if is_apart:
+            self.pieces.join(experience, offset)
+        self.visits.add(experience, offset, self._n_runs)
+        if is_apart:
+            self.pieces.label()
         if path_m < self._next_closure_m or self._config.backend == 'published':
             return False
         self._next_closure_m = path_m + max(path_m - self._run_start_m, self._config.min_path_m)
-        self._closures.append(len(self.experience.values) - 1)
+        self._closures.append(len(self.visits.experience.values) - 1)
         self._check_start()
         return True
 
@@ -150,15 +131,15 @@ class Journey:
 
         With an experience, as if it were met here, by a run of its own, which is run 0.
         """
+        births, met = self.visits.birth.values, self.visits.experience.values
         visits = np.array(self._closures, np.int64)
-        runs = self._run.values[visits]
-        births = self._birth.values[self.experience.values[visits]]
+        runs, starts = self.visits.run.values[visits], births[met[visits]]
         if experience is not None:
-            visits, runs = np.append(visits, len(self.experience.values)), np.append(runs, 0)
-            births = np.append(births, self._birth.values[experience])
-        ends = np.column_stack([births, visits])
+            visits, runs = np.append(visits, len(met)), np.append(runs, 0)
+            starts = np.append(starts, births[experience])
+        ends = np.column_stack([starts, visits])
         nodes = np.union1d(
-            ends, np.linspace(births.min(), visits.max(), self.MAX_NODES, dtype=int))
+            ends, np.linspace(starts.min(), visits.max(), self.MAX_NODES, dtype=int))
         names, groups = np.unique(runs, return_inverse=True)
         match_m, match_rad = self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad
         worst = contradiction(
@@ -169,96 +150,58 @@ class Journey:
 
     def undo(self, run: int) -> None:
         """Take back a run; the drift is what it has become since the one before it."""
-        self._take_back(np.flatnonzero(self._run.values == run))
-        self._last_met_m = -inf
+        visits = self.visits
+        self._take_back(np.flatnonzero(visits.run.values == run))
+        self._last_met_m = self.NEVER_M
         self.undone += 1
-        met = np.flatnonzero(self._run.values)
-        seconds, metres, breaks = self._so_far - self._flown.values[met[-1] if len(met) else 0]
-        self.drift.anchor(*((inf, inf) if breaks else (
-            self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad)))
+        self.pieces.label()
+        met = np.append(0, np.flatnonzero(visits.run.values))[-1]
+        start = np.searchsorted(visits.flown.values[:, 2], visits.flown_now[2])
+        seconds, metres, _ = visits.flown_now - np.vstack(
+            [visits.flown.values, visits.flown_now])[max(met, start)]
+        self.drift.anchor(self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad)
         self.drift.move(Pose2(float(metres), 0.0, 0.0), float(seconds))
+
+    def _cut(self) -> None:
+        """Let another segment of the odometry begin."""
+        self.visits.cut()
+        self.pieces.label()
+
+    def _begin_run(self, experience: int, path_m: float) -> None:
+        """Begin another run where a match comes after a gap, or elsewhere than expected."""
+        expected = between(self.visits.map.pose(experience), self.visits.pose())
+        if (path_m - self._last_met_m > self._config.min_path_m
+                or hypot(expected.x_m, expected.y_m) > self._config.tracking_distance_m):
+            self._n_runs += 1
+            self._run_start_m = self._next_closure_m = path_m
+        self._last_met_m = path_m
 
     def _check_start(self) -> None:
         """Take back the start of a run when its second closure says that it was elsewhere."""
-        visits = np.flatnonzero(self._run.values == self._n_runs)
+        runs, breaks = self.visits.run.values, self.visits.flown.values[:, 2]
+        visits = np.flatnonzero(runs == self._n_runs)
         first, last = int(visits[0]), int(visits[-1])
-        if (np.count_nonzero(self._run.values[self._closures] == self._n_runs) != 2
-                or self._flown.values[first, 2] != self._flown.values[first - 1, 2]):
+        if (np.count_nonzero(runs[self._closures] == self._n_runs) != 2
+                or breaks[first] != breaks[first - 1]):
             return
-        flown = between(self._track_at(last), self._track_at(first))
-        apart = between(self._pose_at(first), compose(self._pose_at(last), flown))
+        flown = between(self.visits.track_at(last), self.visits.track_at(first))
+        apart = between(self.visits.pose_at(first), compose(self.visits.pose_at(last), flown))
         if hypot(apart.x_m, apart.y_m) > self.ASKEW * self._config.match_position_sigma_m:
             self._take_back(visits[:-1])
 
     def _take_back(self, visits: np.ndarray) -> None:
-        """Let visits have met nothing: their links go, and odometry bridges the gap."""
-        first, after = int(visits[0]), int(visits[-1]) + 1
-        is_wrong = (self._maker.values >= first) & (self._maker.values <= after)
-        self.map.remove_links(is_wrong)
-        self._maker = Rows(self._maker.values[~is_wrong])
-        self._run.values[visits] = 0
-        wrong = set(visits.tolist())
-        for visit in range(first, min(after + 1, len(self.experience.values))):
-            if visit in wrong:
-                self._offset.values[visit] = self._arrival(visit)
-                self.experience.values[visit] = self.experience.values[visit - 1]
-            elif self._birth.values[self.experience.values[visit]] == visit:
-                self._carry(visit, is_last=visit == after)
-            self._link(visit)
+        self.visits.take_back(visits)
         self._closures = deque(
-            [k for k in self._closures if self._run.values[k]], self.MAX_CLOSURES)
-
-    def _pose_at(self, visit: int) -> Pose2:
-        return compose(self.map.pose(int(self.experience.values[visit])), self.offset_at(visit))
-
-    def _track_at(self, visit: int) -> Pose2:
-        return Pose2(*self._track.values[visit].tolist())
-
-    def _visit(self, experience: int, offset: Pose2, run: int) -> None:
-        self.experience.append(experience)
-        self._offset.append(offset)
-        self._track.append(self._here)
-        self._run.append(run)
-        self._flown.append(self._so_far)
-        self._since = IDENTITY
-        self._link(len(self.experience.values) - 1)
-
-    def _arrival(self, visit: int) -> Pose2:
-        """Return where a visit was, by odometry, in the frame of the last visit's experience."""
-        return compose(self.offset_at(visit - 1),
-                       between(self._track_at(visit - 1), self._track_at(visit)))
-
-    def _link(self, visit: int) -> None:
-        """Link a visit's experience to that of the visit before, as odometry led there."""
-        if visit == 0 or self._flown.values[visit, 2] != self._flown.values[visit - 1, 2]:
-            return
-        origin, target = self.experience.values[[visit - 1, visit]].tolist()
-        motion = compose(self._arrival(visit), invert(self.offset_at(visit)))
-        is_closure = bool(self._birth.values[target] != visit)
-        if self.map.add_link(origin, target, motion, is_closure):
-            self._maker.append(visit)
-
-    def _carry(self, visit: int, is_last: bool) -> None:
-        """Move what a visit created to where odometry led; after the last one, all the rest."""
-        experience, origin = self.experience.values[[visit, visit - 1]].tolist()
-        moved = self._birth.values >= visit if is_last else [experience]
-        now = compose(self.map.pose(origin), self._arrival(visit))
-        self.map.poses[moved] = compose_rows(
-            np.array([now]), between_rows(self.map.poses[[experience]], self.map.poses[moved]))
+            [k for k in self._closures if self.visits.run.values[k]], self.MAX_CLOSURES)
 
     def _chain(self, nodes: np.ndarray) -> Chain:
         """Return the path by odometry through visits; the one after the last visit is here."""
-        here = self.place()
-        experience = np.append(self.experience.values, here.experience)[nodes]
-        offset = np.vstack([self._offset.values, here.offset])[nodes]
-        track = np.vstack([self._track.values, self._here])[nodes]
-        flown = np.vstack([self._flown.values, self._so_far])[nodes]
+        poses, track, flown = self.visits.along(nodes)
         seconds, metres, breaks = np.diff(flown, axis=0).T
         unknown = self.BREAK_VARIANCE * breaks + 1e-9
         turn = self._odometry.yaw_noise ** 2 * seconds + unknown
         along = self.WALK_SIGMA_M ** 2 * metres + unknown
         # A turn somewhere on the way throws its end sideways.
         across = along + turn * (0.5 * metres) ** 2
-        return Chain(compose_rows(self.map.poses[experience], offset),
-                     between_rows(track[:-1], track[1:]), seconds,
-                     np.column_stack([along, across, turn]))
+        return Chain(poses, between_rows(track[:-1], track[1:]), seconds,
+                     np.column_stack([along, across, turn]), flown[1:, 2])

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from math import hypot, sqrt
+from functools import partial
+from math import hypot, inf, sqrt
 
 import numpy as np
 
-from .journey import Journey, Place
+from .journey import Journey
+from .matcher import Matcher
+from .packet import Packet
+from .visits import Place
 from ..config import Config
-from ..core.geometry import between, compose, invert, wrap_angle
-from ..core.local_view import CentredCells, Cosine, Measure, SequenceScore, ViewCells
-from ..core.pose_cells import PoseCells
+from ..core.drift import Drift
+from ..core.geometry import between, compose, invert
+from ..core.local_view import CentredCells, Cosine, Measure, ViewCells
 from ..core.rows import Rows
 from ..core.types import IDENTITY, OdometrySample, Pose2
 
@@ -24,31 +28,49 @@ class Mapper:
     odometry allows, activates the old cell; its injections move the pose cells' packet; and
     when the packet has arrived there, the experience is linked to the old one. As published,
     each view by itself activates the most similar cell, wherever that is.
+
+    What lies in another piece of the map, from before odometry broke, is found by views alone.
+
+    Attributes
+    ----------
+    is_mapping : bool
+        If not, matches still move the robot, but the map stays as it is.
+
     """
 
     # A view without a code, of darkness say, is waited out for so many distances of a keyframe.
     PATIENCE = 2.0
+    # Views this long apart are no run, if they are so many distances of a keyframe apart, too.
+    GAP_S, GAP = 1.0, 3.0
+    # Experiences times steps of the relaxation: what bounds the time of an update.
+    RELAXED_PER_UPDATE = 30_000
+    # Of odometry that was saved: no source counts below 0.
+    PAST_SEGMENT = -1
 
     def __init__(self, config: Config, measure: Measure | None = None):
         self._config = config.ratslam
-        self._pose_cell_config = config.pose_cells
+        self._link_distance = config.pose_cells.link_distance
         self._is_published = config.ratslam.backend == 'published'
         is_centred = measure is None and config.encoder.mode == 'epochs'
-        self.view_cells = CentredCells() if is_centred else ViewCells(measure or Cosine())
-        self.pose_cells = PoseCells(config.pose_cells)
+        self._make_cells = (
+            CentredCells if is_centred else partial(ViewCells, measure or Cosine()))
+        self.view_cells: ViewCells = self._make_cells()
+        self.packet = Packet(config.pose_cells)
         self.journey = Journey(config)
-        self.map, self.drift = self.journey.map, self.journey.drift
-        self._sequence = SequenceScore(
-            1 if self._is_published else config.ratslam.sequence_length)
-        # Per view cell: where the pose cells stood, and how spent it is.
-        self._cell_position = Rows(np.zeros((0, 3)))
-        self._cell_decay = Rows(np.zeros(0))
-        # Per experience: its view cell and pose cell position.
-        self._view_cell = Rows(np.zeros(0, np.int64))
-        self._position = Rows(np.zeros((0, 3)))
+        self.visits, self.drift = self.journey.visits, self.journey.drift
+        self.map = self.visits.map
+        self._matcher = Matcher(config, self.journey)
+        self.is_mapping = True
         self.odometry: OdometrySample | None = None
+        self._first_pose: Pose2 | None = None
         self._keyframe: OdometrySample | None = None
         self._active_cell: int | None = None
+
+    def reconfigure(self, config: Config) -> None:
+        """Go on with other values of `live` parameters; the map stays."""
+        self._config = config.ratslam
+        self.journey.reconfigure(config)
+        self._matcher.reconfigure(config)
 
     def update(self, odometry: OdometrySample, code: np.ndarray) -> bool:
         """
@@ -68,25 +90,66 @@ class Mapper:
         if is_keyframe:
             self._keyframe = odometry
             self._view_event(code)
-        self.pose_cells.step(motion)
-        np.maximum(self._cell_decay.values - self._pose_cell_config.restore,
-                   self._pose_cell_config.active_decay, out=self._cell_decay.values)
-        if is_keyframe:
+        self.packet.step(motion)
+        if is_keyframe and self._active_cell is not None:
             self._act(odometry)
         return len(self.view_cells) > n_cells
 
-    def replace_codes(self, codes: np.ndarray) -> None:
-        """Put the view cells' codes (n_cells, n_values) under another dictionary in force."""
-        self.view_cells.replace(codes)
+    def carry(self, odometry: OdometrySample) -> None:
+        """Go along with the odometry without a look; the views before are not continued."""
+        self.packet.step(self._advance(odometry))
+        self._matcher.end_run()
+
+    def put(self, pose: Pose2, position_sigma_m: float, yaw_sigma_rad: float) -> None:
+        """Take the robot to be at a pose in the map, known this well, whatever was believed."""
+        self._matcher.clear()
+        if self.place is None:
+            self._first_pose = pose
+        else:
+            self.journey.break_off()
+            offsets = self.map.poses[:, :2] - (pose.x_m, pose.y_m)
+            nearest = int(np.argmin(np.hypot(*offsets.T)))
+            self.packet.place(nearest)
+            self.journey.put(nearest, between(self.map.pose(nearest), pose))
+        self.drift.anchor(position_sigma_m, yaw_sigma_rad)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
+        last = self.odometry
+        return {
+            'experience_view_cells': self._matcher.view_cell.values.copy(),
+            'odometry_stamp_ns': np.array([last.stamp_ns]),
+            'odometry': np.array([*last.pose, last.z_m, last.roll_rad, last.pitch_rad]),
+            **self.packet.state(), **self.journey.state()}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on, where there was no map yet, from what `state` returned; the codes are to come."""
+        self._matcher.view_cell = Rows(state['experience_view_cells'].copy())
+        *pose, z_m, roll_rad, pitch_rad = state['odometry'].tolist()
+        self.odometry = OdometrySample(int(state['odometry_stamp_ns'][0]), Pose2(*pose), z_m,
+                                       roll_rad, pitch_rad, self.PAST_SEGMENT)
+        self.packet.restore(state)
+        self.journey.restore(state)
+
+    def cells_of(self, codes: np.ndarray) -> ViewCells:
+        """Return the view cells of codes (n_cells, n_values): they may take the present place."""
+        cells = self._make_cells()
+        cells.extend(codes)
+        return cells
 
     @property
     def place(self) -> Place | None:
         """Where the robot stands; None before the first update."""
-        return self.journey.place()
+        return self.visits.place()
 
     def pose(self) -> Pose2:
         """Return map_T_base at the last update."""
-        return self.journey.pose()
+        return self.visits.pose()
+
+    @property
+    def is_localised(self) -> bool:
+        """Whether the robot was, at the last update, in the map rather than in a piece apart."""
+        return self.journey.pieces.is_localised
 
     @property
     def undone(self) -> int:
@@ -97,9 +160,18 @@ class Mapper:
         """Return the correction of the odometry as the map stands."""
         return compose(self.pose(), invert(self.odometry.pose))
 
-    def sigmas(self) -> tuple[float, float]:
-        """Return the deviations of position in metres and heading in radians."""
-        return (self.drift.position_sigma_m(self._map_radius_m()), self.drift.yaw_sigma_rad())
+    def sigmas(self, drift: Drift | None = None) -> tuple[float, float]:
+        """
+        Return the deviations of position in metres and heading in radians of a pose in the map.
+
+        They are those of the drift, the last update's if left out, and of the place it set out
+        from, which is known as well as one view tells: views of one place err alike.
+        """
+        if not self.is_localised:
+            return inf, inf
+        drift = drift or self.drift
+        return (hypot(self._config.match_position_sigma_m, drift.position_sigma_m(inf)),
+                hypot(self._config.match_yaw_sigma_rad, drift.yaw_sigma_rad()))
 
     def _advance(self, odometry: OdometrySample) -> Pose2:
         """Carry the place along with the odometry; return the motion since the last code."""
@@ -108,6 +180,9 @@ class Mapper:
             seconds = (odometry.stamp_ns - self.odometry.stamp_ns) * 1e-9
             if odometry.segment == self.odometry.segment and seconds >= 0.0:
                 motion = between(self.odometry.pose, odometry.pose)
+                if seconds > self.GAP_S and hypot(
+                        motion.x_m, motion.y_m) > self.GAP * self._config.keyframe_distance_m:
+                    self._matcher.end_run()
             else:
                 self.journey.break_off()
         seconds = max(seconds, 0.0)  # a clock that falls back makes nothing younger
@@ -118,7 +193,7 @@ class Mapper:
     def _is_keyframe(self, odometry: OdometrySample, patience: float) -> bool:
         """Whether the view counts: after some motion; as published, every view does."""
         if self._keyframe is None or self._keyframe.segment != odometry.segment:
-            self._sequence.clear()
+            self._matcher.clear()
             return True
         if self._is_published:
             return True
@@ -129,131 +204,77 @@ class Mapper:
                 or abs(motion.yaw_rad) >= patience * self._config.keyframe_angle_rad)
 
     def _view_event(self, code: np.ndarray) -> None:
-        """Match the code to an old view cell and inject, or make a new one."""
-        matched = self._match(self.view_cells.likeness(code))
-        if matched is None:
-            self._active_cell = self.view_cells.add(code)
-            self._cell_position.append(self.pose_cells.position())
-            self._cell_decay.append(self._pose_cell_config.active_decay)
+        """Find the view in another piece, match it to an old view cell, or make a new one."""
+        score = self._matcher.score(self.view_cells.likeness(code))
+        found = None if score is None else self._matcher.find(score)
+        if found is not None:
+            self._active_cell = int(self._matcher.view_cell.values[found])
+            self.packet.place(found)
             return
-        self._active_cell = matched
-        decay = self._cell_decay.values[matched]
-        energy = self._pose_cell_config.injection * (30.0 - np.exp(1.2 * decay)) / 30.0
-        self._cell_decay.values[matched] += self._pose_cell_config.active_decay
-        if energy > 0.0:
-            relative = self._offset_from(self._nearest_experience(matched))
-            self.pose_cells.inject(self.pose_cells.turned(
-                self._cell_position.values[matched], relative.yaw_rad), energy)
+        matched = None if score is None else self._match(score)
+        if matched is not None:
+            self._activate(matched)
+        elif self.is_mapping:
+            self._active_cell = self.view_cells.add(code)
+            self.packet.add_view_cell()
+        else:
+            self._active_cell = None
 
-    def _match(self, similarities: np.ndarray) -> int | None:
-        """Return the view cell that the last run of views ends in, if odometry allows one."""
-        score = self._sequence.update(similarities)
-        if score is None or self.place is None:
+    def _match(self, score: np.ndarray) -> int | None:
+        """Return the view cell that the views match; a jump must not contradict other matches."""
+        match = self._matcher.match(score)
+        if match is None or match.is_jump and self._contradicts(match.view_cell):
             return None
-        if self._is_published:
-            best = int(np.argmax(score))
-            return best if score[best] >= self._config.threshold else None
-        distance_m = self._gated_distance()
-        # Near by chance is not tracking: odometry must be sure enough to tell.
-        is_tracking = self.sigmas()[0] <= self._config.tracking_distance_m
-        needed = np.where(is_tracking & (distance_m <= self._config.tracking_distance_m),
-                          self._config.tracking_threshold, self._config.threshold)
-        candidates = np.flatnonzero(np.isfinite(distance_m) & (score >= needed))
-        if not len(candidates):
-            return None
-        best = int(candidates[np.argmax(score[candidates])])
-        is_jump = needed[best] == self._config.threshold
-        return None if is_jump and self._contradicts(best) else best
+        return match.view_cell
 
     def _contradicts(self, view_cell: int) -> bool:
-        """Whether a match contradicts earlier ones; a run of these that looks wrong goes."""
-        run = self.journey.contradiction(self._nearest_experience(view_cell))
+        """Whether a match contradicts earlier ones."""
+        return self.is_mapping and self._judge(self._matcher.nearest_experience(view_cell))
+
+    def _judge(self, experience: int | None = None) -> bool:
+        """Whether matches, here with an experience too, contradict; one that looks wrong goes."""
+        run = self.journey.contradiction(experience)
         if run:
             self.journey.undo(run)
         return run is not None
 
-    def _gated_distance(self) -> np.ndarray:
-        """
-        Return each view cell's distance from the estimated position, shape (n_cells,).
-
-        Infinite where no old enough experience of the cell lies within the drift of the
-        odometry since the last closure.
-        """
-        here = self.pose()
-        offset_m = np.hypot(self.map.poses[:, 0] - here.x_m, self.map.poses[:, 1] - here.y_m)
-        turn_rad = np.abs(wrap_angle(self.map.poses[:, 2] - here.yaw_rad))
-        sigma_m, sigma_rad = self.sigmas()
-        reach = self._config.gate_sigmas
-        allowed = (
-            (offset_m <= reach * hypot(sigma_m, self._config.match_position_sigma_m))
-            & (turn_rad <= reach * hypot(sigma_rad, self._config.match_yaw_sigma_rad))
-            & (self.journey.ages() >= (self._config.min_age_s, self._config.min_path_m)
-               ).all(axis=1))
-        distance_m = np.full(len(self.view_cells), np.inf)
-        np.minimum.at(distance_m, self._view_cell.values[allowed], offset_m[allowed])
-        return distance_m
+    def _activate(self, matched: int) -> None:
+        """Inject what an old view cell has power for."""
+        self._active_cell = matched
+        energy = self.packet.spend(matched)
+        if energy > 0.0:
+            relative = self._matcher.offset_from(self._matcher.nearest_experience(matched))
+            self.packet.inject(matched, relative.yaw_rad, energy)
 
     def _act(self, odometry: OdometrySample) -> None:
         """Create or meet an experience for the active view cell, then relax the map."""
-        position = self.pose_cells.position()
-        old = np.flatnonzero(self._view_cell.values == self._active_cell)
-        distance = self.pose_cells.distance(self._position.values[old], position)
-        if len(old) and distance.min() < self._pose_cell_config.link_distance:
+        old = self._matcher.old_experiences(self._active_cell)
+        distance = self.packet.distance(old)
+        if len(old) and distance.min() < self._link_distance:
             self._meet(int(old[np.argmin(distance)]))
-        else:
-            self._create(odometry, position)
+        elif self.is_mapping:
+            self._create(odometry)
+        if not self.is_mapping:
+            return
         if self._is_published:
             self.map.sweep(self._config.relaxation_steps)
         else:
-            self.map.relax(self._config.relaxation_steps)
+            self.map.relax(min(self._config.relaxation_steps,
+                               max(self.RELAXED_PER_UPDATE // len(self.map), 1)))
 
-    def _create(self, odometry: OdometrySample, position: np.ndarray) -> None:
-        self.journey.create(odometry.pose if self.place is None else self.pose())
-        self._view_cell.append(self._active_cell)
-        self._position.append(position)
+    def _create(self, odometry: OdometrySample) -> None:
+        start = self._first_pose or odometry.pose
+        self.visits.create(start if self.place is None else self.pose())
+        self._matcher.view_cell.append(self._active_cell)
+        self.packet.add_experience()
 
     def _meet(self, experience: int) -> None:
         """Arrive at an old experience."""
-        offset = self._offset_from(experience)
-        trust_m, trust_rad = self._trust()
-        is_news = self.journey.meet(experience, offset)
+        offset = self._matcher.offset_from(experience)
+        trust_m, trust_rad = self._matcher.trust(experience)
+        arrive = self.journey.meet if self.is_mapping else self.journey.put
+        is_news = arrive(experience, offset)
         self.drift.anchor(self._config.match_position_sigma_m * sqrt(1.0 - trust_m),
                           self._config.match_yaw_sigma_rad * sqrt(1.0 - trust_rad))
         if is_news:
-            run = self.journey.contradiction()
-            if run:
-                self.journey.undo(run)
-
-    def _offset_from(self, experience: int) -> Pose2:
-        """
-        Return where the robot stands in the frame of an experience whose view it sees.
-
-        Odometry says where, the view says "here, heading the same way"; each is weighed by its
-        variance. The yaw is RatSLAM's relative heading.
-        """
-        expected = between(self.map.pose(experience), self.pose())
-        trust_m, trust_rad = (0.0, 0.0) if self._is_published else self._trust()
-        return Pose2(trust_m * expected.x_m, trust_m * expected.y_m,
-                     trust_rad * expected.yaw_rad)
-
-    def _trust(self) -> tuple[float, float]:
-        """Return the weights of odometry beside a view, for position and heading."""
-        sigma_m, sigma_rad = self.sigmas()
-        return (_share(self._config.match_position_sigma_m, sigma_m),
-                _share(self._config.match_yaw_sigma_rad, sigma_rad))
-
-    def _nearest_experience(self, view_cell: int) -> int:
-        """Return the experience of a view cell that is nearest to the estimated position."""
-        experiences = np.flatnonzero(self._view_cell.values == view_cell)
-        here = self.pose()
-        offsets = self.map.poses[experiences, :2] - (here.x_m, here.y_m)
-        return int(experiences[np.argmin(np.hypot(*offsets.T))])
-
-    def _map_radius_m(self) -> float:
-        extent = np.ptp(self.map.poses[:, :2], axis=0) if len(self.map) else np.zeros(2)
-        return 0.5 * float(np.hypot(*extent))
-
-
-def _share(match_sigma: float, odometry_sigma: float) -> float:
-    """Return the weight of the odometry beside a match."""
-    return match_sigma ** 2 / (match_sigma ** 2 + odometry_sigma ** 2)
+            self._judge()

@@ -17,6 +17,8 @@ from ..core.types import IDENTITY, OdometrySample, Pose2, RawOdometry
 class OdometrySource(Protocol):
     """Where odometry comes from: a topic, an autopilot's link, a log."""
 
+    frame_id: str
+
     def start(self, deliver: Callable[[OdometrySample], None]) -> None:
         """Begin to deliver samples, in stamp order, until stopped."""
 
@@ -25,6 +27,15 @@ class OdometrySource(Protocol):
 
     def diagnostics(self) -> dict[str, int]:
         """Return the counts of what was accepted and refused, by cause."""
+
+    def state(self) -> dict[str, object]:
+        """Return words and figures on where it comes from."""
+
+    def why_silent(self) -> str:
+        """Return in plain words why no odometry comes."""
+
+    def reconfigure(self, config: OdometryConfig) -> None:
+        """Go on with other limits."""
 
 
 class OdometryNormaliser:
@@ -43,6 +54,10 @@ class OdometryNormaliser:
         self._integrated = IDENTITY
         self._segment = 0
         self.counts: Counter[str] = Counter()
+
+    def reconfigure(self, config: OdometryConfig) -> None:
+        """Go on with other limits."""
+        self._config = config
 
     def accept(self, raw: RawOdometry) -> OdometrySample | None:
         """Return the normalised sample, or None when it is refused."""

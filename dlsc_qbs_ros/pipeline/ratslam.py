@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from concurrent.futures import Executor
-from copy import copy
 from math import inf
 from typing import Callable
 
 import numpy as np
 
-from .code_book import CodeBook, InlineExecutor
+from .code_book import CodeBook
+from .live_map import LiveMap
 from .mapper import Mapper
 from .odometry import OdometryHistory
 from .stamps import CLOCK_JUMP_NS, StampOrder, Succession
 from ..config import Config
-from ..core.drift import Drift
-from ..core.geometry import between, compose, invert
-from ..core.inputs import make_inputs
 from ..core.local_view import Measure
-from ..core.types import IDENTITY, Code, Dictionary, OdometrySample, PoseEstimate, View
+from ..core.types import Code, OdometrySample, PoseEstimate, View
 
 
-class RatSlam:
+class RatSlam(LiveMap):
     """
     Feeds the mapper in stamp order and gives a pose for every odometry sample.
 
@@ -38,20 +35,12 @@ class RatSlam:
     # A camera's frames jitter: a code may come up to a quarter of a period early.
     EARLY_SHARE = 0.25
     MAX_VIEWS = 1000
-    MAX_NORM = 1e12
-    CHECK_EVERY = 50
-    CHECK_TOLERANCE = 1e-3
 
     def __init__(self, config: Config, executor: Executor | None = None,
                  on_update: Callable[[Mapper], None] = lambda mapper: None,
                  measure: Measure | None = None):
-        self._period_ns = int(config.ratslam.sample_period_s * 1e9)
-        self._max_wait_s = config.ratslam.max_wait_s
-        self._view_shape = (config.view.height, config.view.width)
-        inputs = make_inputs(config)
-        self._dictionary_shape = (config.encoder.n_atoms, inputs.n_inputs)
-        self._code_shape = (inputs.n_values,) if measure is None else None
-        self._book = CodeBook(config, executor or InlineExecutor())
+        super().__init__(config, executor, measure)
+        self._on_update = on_update
         self._history = OdometryHistory()
         self._codes: deque[tuple[Code, float]] = deque()
         self._samples: deque[tuple[OdometrySample, float]] = deque()
@@ -60,15 +49,13 @@ class RatSlam:
         # The earliest stamp of the next code to be used; None before the first.
         self._due_ns: int | None = None
         self._codes_flow = False
-        self._map_T_odom = IDENTITY
-        self._last_view: np.ndarray | None = None
-        # The newest odometry that has been used, by a code or for a pose, and the drift there.
-        self._last: OdometrySample | None = None
-        self._drift = Drift(config.odometry)
-        self._on_update = on_update
-        self.codes_match = True
-        self.mapper = Mapper(config, measure)
-        self.counts: Counter[str] = Counter()
+        self.reconfigure(config)
+
+    def reconfigure(self, config: Config) -> None:
+        """Go on with other values of `live` parameters; the map stays."""
+        super().reconfigure(config)
+        self._period_ns = int(config.ratslam.sample_period_s * 1e9)
+        self._max_wait_s = config.ratslam.max_wait_s
 
     def add_odometry(self, sample: OdometrySample, now_s: float = 0.0) -> None:
         """Take in the next odometry sample; one whose stamp falls back starts a new timeline."""
@@ -77,17 +64,6 @@ class RatSlam:
             self._restart_timeline(sample.stamp_ns)
         self._history.add(sample)
         self._samples.append((sample, now_s))
-
-    def add_dictionary(self, dictionary: Dictionary) -> None:
-        """Take in the dictionary of a new epoch; one of another shape is refused."""
-        if dictionary.atoms.shape != self._dictionary_shape:
-            self.counts['dictionaries_of_another_shape'] += 1
-            return
-        if not 0.0 < np.linalg.norm(dictionary.atoms.astype(np.float64)) < self.MAX_NORM:
-            self.counts['dictionaries_unusable'] += 1
-            return
-        self.counts['dictionaries'] += 1
-        self._book.add_dictionary(dictionary)
 
     def add_view(self, view: View) -> None:
         """Take in the view of a code; one of another shape is refused."""
@@ -131,6 +107,10 @@ class RatSlam:
         self._codes = deque(kept)
         self._due_ns = None
 
+    def _begin(self, mapper: Mapper, book: CodeBook) -> None:
+        super()._begin(mapper, book)
+        self._due_ns = None
+
     def advance(self, now_s: float) -> list[PoseEstimate]:
         """Process all that is ready, or waited too long, and return the poses in stamp order."""
         poses: list[PoseEstimate] = []
@@ -147,6 +127,8 @@ class RatSlam:
             return False
         if self._due_ns is None or code.stamp_ns >= self._due_ns:
             missing = self._missing(code)
+            if missing == 'reencoding' and now_s == inf:
+                missing = None  # nothing else is to come: to use the code is to wait for that
             if missing and (now_s - arrived_s <= self._max_wait_s or missing == 'reencoding'):
                 return False
             if missing:
@@ -164,43 +146,17 @@ class RatSlam:
             return 'odometry'
         if code.stamp_ns not in self._views:
             return 'view'
-        if code.dictionary_ns is None or self._book.is_current(code.dictionary_ns):
-            return None
-        return self._book.missing(code.dictionary_ns)
+        return None if code.dictionary_ns is None else self._book.missing(code)
 
     def _use(self, code: Code) -> None:
         odometry = self._history.at(code.stamp_ns)
         if odometry is None:
             self.counts['codes_before_odometry'] += 1
             return
-        if code.dictionary_ns is not None and not self._book.is_current(code.dictionary_ns):
-            codes = self._book.swap(code.dictionary_ns)
-            self.mapper.replace_codes(codes)
-            self.counts['code_books'] += 1
-        view = self._views[code.stamp_ns]
-        if code.dictionary_ns is not None and self.counts['codes_used'] % self.CHECK_EVERY == 0:
-            self._check(code, view)
-        # No camera that moves sees the same twice, to the last pixel: one that does hangs.
-        is_new = not np.array_equal(view, self._last_view)
-        self._last_view = view
-        if self.mapper.update(odometry, code.values * is_new):
-            self._book.add_view(view * is_new)
-        self.counts['codes_used'] += 1
+        self._take_in(code, self._views[code.stamp_ns], odometry)
         self._history.forget_before(code.stamp_ns)
         self._due_ns = self._next_due_ns(code.stamp_ns)
-        self._correct(odometry)
         self._on_update(self.mapper)
-
-    def _correct(self, odometry: OdometrySample) -> None:
-        """Take over the mapper's correction, unless odometry has broken since that code."""
-        if self._last is None or self._last.stamp_ns <= odometry.stamp_ns:
-            self._last = odometry
-        if self._last.segment != odometry.segment:
-            return
-        self._map_T_odom = self.mapper.map_T_odom()
-        self._drift = copy(self.mapper.drift)
-        self._drift.move(between(odometry.pose, self._last.pose),
-                         (self._last.stamp_ns - odometry.stamp_ns) * 1e-9)
 
     def _next_due_ns(self, used_ns: int) -> int:
         """Return the next stamp of a grid of one period, which starts anew after a silence."""
@@ -208,12 +164,6 @@ class RatSlam:
         if self._due_ns is None:
             return used_ns + self._period_ns - early_ns
         return max(self._due_ns + self._period_ns, used_ns + self._period_ns // 2)
-
-    def _check(self, code: Code, view: np.ndarray) -> None:
-        """Notice an encoder that is configured otherwise: its code would not come from here."""
-        error = np.abs(self._book.reencode(view) - code.values).max()
-        self.codes_match = error <= self.CHECK_TOLERANCE * np.abs(code.values).max()
-        self.counts['code_mismatches'] += not self.codes_match
 
     def _advance_sample(self, now_s: float, poses: list[PoseEstimate]) -> bool:
         """Give the oldest odometry sample its pose, when that is due; return whether it was."""
@@ -226,24 +176,8 @@ class RatSlam:
             self.counts['poses_ahead_of_codes'] += 1
             self._codes_flow = bool(self._codes)
         self._samples.popleft()
-        self._follow(sample)
-        poses.append(PoseEstimate(
-            sample.stamp_ns, compose(self._map_T_odom, sample.pose), sample, self._map_T_odom,
-            self._drift.position_sigma_m(inf), self._drift.yaw_sigma_rad()))
+        poses.append(self._follower.follow(sample))
         return True
-
-    def _follow(self, sample: OdometrySample) -> None:
-        """Carry the drift along; where odometry breaks, go on from the last pose."""
-        last, self._last = self._last, sample
-        if last is None:
-            return
-        if last.segment == sample.segment and last.stamp_ns <= sample.stamp_ns:
-            self._drift.move(between(last.pose, sample.pose),
-                             (sample.stamp_ns - last.stamp_ns) * 1e-9)
-        else:
-            self._map_T_odom = compose(compose(self._map_T_odom, last.pose),
-                                       invert(sample.pose))
-            self._drift.anchor(inf, inf)
 
     def _awaits_code(self, sample: OdometrySample) -> bool:
         """Whether a code at or before this sample is there or may yet come and be used."""

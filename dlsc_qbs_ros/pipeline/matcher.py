@@ -1,0 +1,182 @@
+"""Which old place the views show, as far as odometry allows it, and where that puts the robot."""
+
+from __future__ import annotations
+
+from math import hypot, inf
+from typing import NamedTuple
+
+import numpy as np
+
+from .journey import Journey
+from .relocaliser import Relocaliser
+from ..config import Config
+from ..core.geometry import between, wrap_angle
+from ..core.local_view import SequenceScore
+from ..core.rows import Rows
+from ..core.types import Pose2
+
+
+class Match(NamedTuple):
+    """The view cell that a run of views ends in, and whether odometry did not expect that."""
+
+    view_cell: int
+    is_jump: bool
+
+
+class Matcher:
+    """
+    Compares runs of views and weighs what they say against the odometry; the map stays.
+
+    Attributes
+    ----------
+    view_cell : Rows of int64
+        The view cell of each experience.
+
+    """
+
+    # A run of views that a gap cut short may be that short for a place to be tracked by it.
+    SHORTEST_RUN = 4
+
+    def __init__(self, config: Config, journey: Journey):
+        self._config = config.ratslam
+        self._is_published = config.ratslam.backend == 'published'
+        self._journey = journey
+        self._visits, self._pieces = journey.visits, journey.pieces
+        self._map = journey.visits.map
+        self._sequence = SequenceScore(
+            1 if self._is_published else config.ratslam.sequence_length,
+            shortest=self.SHORTEST_RUN)
+        self._relocaliser = Relocaliser(config)
+        self.view_cell = Rows(np.zeros(0, np.int64))
+
+    def reconfigure(self, config: Config) -> None:
+        """Go on with other values of `live` parameters."""
+        self._config = config.ratslam
+        self._relocaliser.reconfigure(config)
+
+    def end_run(self) -> None:
+        """Let the next view not continue those before."""
+        self._sequence.clear()
+
+    def clear(self) -> None:
+        """Forget the views, and what was sighted, so far."""
+        self._sequence.clear()
+        self._relocaliser.clear()
+
+    def score(self, likeness: np.ndarray) -> np.ndarray | None:
+        """Return how alike the last views are to the run that ends in each cell; None at first."""
+        return self._sequence.update(likeness)
+
+    def find(self, score: np.ndarray) -> int | None:
+        """Return an experience of another piece of the map, where views alone tell of one."""
+        pieces = self._pieces.of()
+        is_apart = pieces != self._pieces.here
+        if self._is_published or not self._sequence.is_whole or not is_apart.any():
+            return None
+        return self._relocaliser.find(
+            np.where(is_apart, score[self.view_cell.values], -inf), self._map.poses, pieces,
+            self._visits.track())
+
+    def match(self, score: np.ndarray) -> Match | None:
+        """Return the view cell that the last run of views ends in, if odometry allows one."""
+        if self._visits.place() is None:
+            return None
+        if self._is_published:
+            best = int(np.argmax(score))
+            return Match(best, False) if score[best] >= self._config.threshold else None
+        alike = np.flatnonzero(
+            score >= min(self._config.threshold, self._config.tracking_threshold))
+        if not len(alike):
+            return None
+        is_asked = np.zeros(len(score), bool)
+        is_asked[alike] = True
+        distance_m = self._gated_distance(is_asked)[alike]
+        # Near by chance is not tracking: odometry must be sure enough to tell.
+        is_tracking = self._sigmas()[0] <= self._config.tracking_distance_m
+        near, far = (
+            (self._config.tracking_threshold, self._config.threshold)
+            if self._sequence.is_whole else (self._config.threshold, inf))
+        needed = np.where(is_tracking & (distance_m <= self._config.tracking_distance_m),
+                          near, far)
+        candidates = np.flatnonzero(np.isfinite(distance_m) & (score[alike] >= needed))
+        if not len(candidates):
+            return None
+        best = candidates[np.argmax(score[alike[candidates]])]
+        return Match(int(alike[best]), bool(needed[best] == far))
+
+    def trust(self, experience: int) -> tuple[float, float]:
+        """Return the weights of odometry beside a view, for position and heading."""
+        if self._pieces.is_apart(experience):
+            return 0.0, 0.0
+        sigma_m, sigma_rad = self._sigmas()
+        return (_share(self._config.match_position_sigma_m, sigma_m),
+                _share(self._config.match_yaw_sigma_rad, sigma_rad))
+
+    def offset_from(self, experience: int) -> Pose2:
+        """
+        Return where the robot stands in the frame of an experience whose view it sees.
+
+        Odometry says where, the view says "here, heading the same way"; each is weighed by its
+        variance. The yaw is RatSLAM's relative heading.
+        """
+        expected = between(self._map.pose(experience), self._visits.pose())
+        trust_m, trust_rad = (0.0, 0.0) if self._is_published else self.trust(experience)
+        return Pose2(trust_m * expected.x_m, trust_m * expected.y_m,
+                     trust_rad * expected.yaw_rad)
+
+    def old_experiences(self, view_cell: int) -> np.ndarray:
+        """
+        Return the experiences of a view cell that may be met again.
+
+        Not one that a match has just made because the packet had not arrived yet.
+        """
+        experiences = np.flatnonzero(self.view_cell.values == view_cell)
+        return experiences[self._is_old_enough(experiences)]
+
+    def nearest_experience(self, view_cell: int) -> int:
+        """Return the old experience of a view cell that is nearest to the estimated position."""
+        experiences = self.old_experiences(view_cell)
+        here = self._visits.pose()
+        offsets = self._map.poses[experiences, :2] - (here.x_m, here.y_m)
+        return int(experiences[np.argmin(np.hypot(*offsets.T))])
+
+    def _sigmas(self) -> tuple[float, float]:
+        """Return the deviations of position and heading within the robot's piece of the map."""
+        drift = self._journey.drift
+        return drift.position_sigma_m(self._map.radius_m), drift.yaw_sigma_rad()
+
+    def _gated_distance(self, is_asked: np.ndarray) -> np.ndarray:
+        """
+        Return the distance of those view cells, of (n_cells,), from the estimated position.
+
+        Infinite where not asked, and where no old enough experience of the cell, in this piece
+        of the map, lies within the drift of the odometry since the last closure.
+        """
+        here = self._visits.pose()
+        sigma_m, sigma_rad = self._sigmas()
+        reach = self._config.gate_sigmas
+        asked = np.flatnonzero(is_asked[self.view_cell.values])
+        x_m, y_m, yaw_rad = self._map.poses[asked].T
+        offset_m = np.hypot(x_m - here.x_m, y_m - here.y_m)
+        turn_rad = np.abs(wrap_angle(yaw_rad - here.yaw_rad))
+        allowed = (
+            (offset_m <= reach * hypot(sigma_m, self._config.match_position_sigma_m))
+            & (turn_rad <= reach * hypot(sigma_rad, self._config.match_yaw_sigma_rad))
+            & (self._pieces.of(asked) == self._pieces.here)
+            & self._is_old_enough(asked))
+        distance_m = np.full(len(is_asked), np.inf)
+        np.minimum.at(distance_m, self.view_cell.values[asked[allowed]], offset_m[allowed])
+        return distance_m
+
+    def _is_old_enough(self, experiences: np.ndarray) -> np.ndarray:
+        """Return whether experiences may be met again; those of another piece always may."""
+        if self._is_published:
+            return np.ones(len(experiences), bool)
+        age_s, path_m = self._visits.ages(experiences).T
+        is_old = (age_s >= self._config.min_age_s) & (path_m >= self._config.min_path_m)
+        return is_old | (self._pieces.of(experiences) != self._pieces.here)
+
+
+def _share(match_sigma: float, odometry_sigma: float) -> float:
+    """Return the weight of the odometry beside a match."""
+    return match_sigma ** 2 / (match_sigma ** 2 + odometry_sigma ** 2)

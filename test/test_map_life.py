@@ -1,0 +1,383 @@
+"""A map outlives the flight: kept, gone on in, left as it is, refused when unsound."""
+
+from dataclasses import replace
+from functools import lru_cache
+from math import inf
+
+from loop_flight import CONFIG, events, LAP_S, START_NS, stamp_ns
+import numpy as np
+import pytest
+
+from dlsc_qbs_ros.config import Config
+from dlsc_qbs_ros.core.geometry import between, compose
+from dlsc_qbs_ros.core.types import Code, Dictionary, OdometrySample, Pose2, View
+from dlsc_qbs_ros.errors import MapError
+from dlsc_qbs_ros.io.map_file import read_map, write_map
+from dlsc_qbs_ros.pipeline.encoder import Encoder
+from dlsc_qbs_ros.pipeline.map_state import ARRAYS, refuse_other
+from dlsc_qbs_ros.pipeline.ratslam import RatSlam
+from dlsc_qbs_ros.pipeline.runner import encode
+
+FLIGHT_S = 1.7 * LAP_S
+HALF_NS = stamp_ns(1.2 * LAP_S)
+ELSEWHERE = Pose2(30.0, -5.0, 2.0)
+
+
+@lru_cache(maxsize=None)
+def flight(world=0, encoder_seed=0):
+    """Return what reaches ratslam in a flight of a lap and more."""
+    config = CONFIG.override({'encoder.seed': encoder_seed})
+    return encode(events(FLIGHT_S, world), config, Encoder(config)).events
+
+
+def later(flown, seconds, frame=None, segment=0):
+    """Return a flight as it would be at another time, its odometry in another frame."""
+    shift_ns = round(seconds * 1e9)
+
+    def shifted(event):
+        event = replace(event, stamp_ns=event.stamp_ns + shift_ns)
+        if isinstance(event, Code) and event.dictionary_ns is not None:
+            return replace(event, dictionary_ns=event.dictionary_ns + shift_ns)
+        if isinstance(event, OdometrySample) and frame is not None:
+            return replace(event, pose=compose(frame, event.pose), segment=segment)
+        return event
+    return [shifted(event) for event in flown]
+
+
+def fly(ratslam, flown):
+    """Feed a flight; return the poses that came out."""
+    add = {OdometrySample: ratslam.add_odometry, Dictionary: ratslam.add_dictionary,
+           View: ratslam.add_view, Code: ratslam.add_code}
+    poses = []
+    for event in flown:
+        add[type(event)](event)
+        poses += ratslam.advance(0.0)
+    return poses + ratslam.advance(inf)
+
+
+def first_part():
+    return [event for event in flight() if event.stamp_ns <= HALF_NS]
+
+
+def second_part():
+    """Return the rest of the flight, after the dictionary that its codes refer to."""
+    last = [event for event in first_part() if isinstance(event, Dictionary)][-1]
+    return [last, *(event for event in flight() if event.stamp_ns > HALF_NS)]
+
+
+@lru_cache(maxsize=None)
+def saved():
+    """Return the map of the first part of the flight; not to be written to."""
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, first_part())
+    return ratslam.state()
+
+
+def restored(state=None):
+    ratslam = RatSlam(CONFIG)
+    ratslam.restore(saved() if state is None else state)
+    return ratslam
+
+
+def assert_same(a, b):
+    assert a.keys() == b.keys() == ARRAYS.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+def crossings(ratslam, n):
+    """Return the links between the first n experiences and the others."""
+    links = ratslam.mapper.map.links
+    return links[(links < n).any(axis=1) & (links >= n).any(axis=1)].tolist()
+
+
+# Kept
+
+def test_a_map_goes_through_a_file_and_comes_out_the_same(tmp_path):
+    write_map(tmp_path / 'a.map', CONFIG.flat(), saved())
+    config, arrays = read_map(tmp_path / 'a.map')
+    refuse_other(config, CONFIG)
+    assert_same(restored(arrays).state(), saved())
+
+
+def test_what_is_kept_is_not_changed_by_what_comes_later():
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, first_part())
+    state = ratslam.state()
+    fly(ratslam, second_part())
+    assert_same(state, saved())
+
+
+def test_there_is_nothing_to_keep_before_the_first_code():
+    with pytest.raises(MapError, match='there is no map yet'):
+        RatSlam(CONFIG).state()
+
+
+def test_codes_of_a_live_dictionary_are_kept_as_they_are():
+    live = [replace(event, dictionary_ns=None) if isinstance(event, Code) else event
+            for event in first_part() if not isinstance(event, Dictionary)]
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, live)
+    state = ratslam.state()
+    assert len(state['view_cell_codes']) == len(ratslam.mapper.view_cells)
+    np.testing.assert_allclose(restored(state).mapper.view_cells.kept,
+                               ratslam.mapper.view_cells.kept, atol=1e-6)
+
+
+# Gone on in
+
+def test_where_odometry_went_on_a_node_that_starts_again_goes_on_too():
+    undisturbed, again = RatSlam(CONFIG), restored()
+    fly(undisturbed, [*first_part(), *second_part()])
+    poses = fly(again, second_part())
+    assert again.is_localised
+    assert again.mapper.map.is_closure.any()
+    assert set(again.mapper.journey.pieces.of()) == {0}
+    assert max(pose.position_sigma_m for pose in poses) < 1.0
+    apart = between(undisturbed.mapper.pose(), again.mapper.pose())
+    assert apart[:2] == pytest.approx((0.0, 0.0), abs=0.3)
+
+
+@pytest.mark.parametrize('seconds, frame', [(40.0, None), (-40.0, None), (1.0, ELSEWHERE)])
+def test_other_odometry_is_not_taken_for_the_same(seconds, frame):
+    """It comes too late, or from the past, or is somewhere else."""
+    ratslam = restored()
+    poses = fly(ratslam, later(second_part()[:30], seconds, frame))
+    assert not ratslam.is_localised
+    assert {pose.position_sigma_m for pose in poses} == {inf}
+
+
+def test_a_second_session_finds_itself_and_extends_the_map_of_the_first():
+    ratslam, n = restored(), len(saved()['experience_poses'])
+    before = ratslam.mapper.map.poses.copy()
+    fly(ratslam, later(flight(), 1000.0, ELSEWHERE))
+    assert ratslam.is_localised
+    assert len(crossings(ratslam, n)) > 0
+    assert set(ratslam.mapper.journey.pieces.of()) == {0}
+    moved = np.hypot(*(ratslam.mapper.map.poses[:n] - before)[:, :2].T)
+    assert moved.max() < 0.5
+    assert len(ratslam.mapper.map) > n
+
+
+def test_a_map_is_valid_for_an_encoder_that_started_again_from_another_dictionary():
+    ratslam, n = restored(), len(saved()['experience_poses'])
+    fly(ratslam, later(flight(encoder_seed=7), 1000.0, ELSEWHERE))
+    assert ratslam.is_localised
+    assert len(crossings(ratslam, n)) > 0
+
+
+def test_in_another_world_nothing_is_recognised():
+    ratslam, n = restored(), len(saved()['experience_poses'])
+    fly(ratslam, later(flight(world=5), 1000.0, ELSEWHERE))
+    assert not ratslam.is_localised
+    assert crossings(ratslam, n) == []
+
+
+def test_a_drone_that_was_carried_away_in_flight_joins_what_it_maps_to_what_it_had():
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, first_part())
+    n = len(ratslam.mapper.map)
+    poses = fly(ratslam, later(flight(), 100.0, ELSEWHERE, segment=1))
+    assert poses[0].position_sigma_m == inf
+    assert poses[-1].position_sigma_m < 1.0
+    assert len(crossings(ratslam, n)) > 0
+
+
+# Left as it is
+
+@lru_cache(maxsize=None)
+def localised():
+    """Return a pipeline that flew a second session in the map, and the poses."""
+    ratslam = restored()
+    ratslam.keep_map(True)
+    return ratslam, fly(ratslam, later(flight(), 1000.0, ELSEWHERE))
+
+
+def test_a_map_that_is_kept_as_it_is_gives_the_same_file_before_and_after(tmp_path):
+    ratslam, _ = localised()
+    for name, state in (('before', saved()), ('after', ratslam.state())):
+        write_map(tmp_path / name, CONFIG.flat(), state)
+    assert (tmp_path / 'before').read_bytes() == (tmp_path / 'after').read_bytes()
+
+
+def test_nothing_of_a_map_that_is_kept_changes_behind_the_file():
+    ratslam, _ = localised()
+    now = ratslam.mapper.state()
+    for name in now.keys() & {name for name in ARRAYS if name.startswith(
+            ('experience_', 'link_', 'view_cell_pose', 'visit_', 'closure_'))}:
+        np.testing.assert_array_equal(now[name], saved()[name], err_msg=name)
+    assert len(ratslam.mapper.view_cells) == len(saved()['view_cell_views'])
+
+
+def test_the_pose_is_still_corrected_where_the_map_is_kept_as_it_is():
+    """The robot ends half a lap on; odometry bends by 0.02 rad/s."""
+    ratslam, poses = localised()
+    assert ratslam.is_localised
+    assert poses[0].position_sigma_m == inf
+    assert poses[-1].position_sigma_m < 1.0
+    undisturbed = RatSlam(CONFIG)
+    expected = fly(undisturbed, flight())
+    apart = between(expected[-1].pose, poses[-1].pose)
+    assert apart[:2] == pytest.approx((0.0, 0.0), abs=0.5)
+
+
+def test_a_map_that_grows_again_is_linked_to_where_the_robot_is():
+    ratslam = restored()
+    ratslam.keep_map(True)
+    fly(ratslam, later(flight(), 1000.0, ELSEWHERE))
+    n = len(ratslam.mapper.map)
+    ratslam.keep_map(False)
+    assert ratslam.is_localised
+    fly(ratslam, later(flight(world=5), 1000.0 + FLIGHT_S, ratslam.mapper.odometry.pose))
+    assert len(ratslam.mapper.map) > n
+    assert len(crossings(ratslam, n)) > 0
+    assert set(ratslam.mapper.journey.pieces.of()) == {0}
+
+
+def test_without_a_map_there_is_nothing_to_be_localised_in():
+    with pytest.raises(MapError, match='there is no map yet'):
+        RatSlam(CONFIG).keep_map(True)
+
+
+# Paused, forgotten, told
+
+def test_while_paused_the_map_stands_still_and_the_pose_follows_the_odometry():
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, first_part())
+    n = len(ratslam.mapper.map)
+    ratslam.is_paused = True
+    assert ratslam.activity == 'paused'
+    before, *_, after = fly(ratslam, second_part())
+    assert len(ratslam.mapper.map) == n
+    assert between(before.pose, after.pose) == pytest.approx(
+        between(before.odometry.pose, after.odometry.pose), abs=1e-6)
+    assert after.position_sigma_m > before.position_sigma_m
+
+
+def test_after_a_reset_another_map_begins_with_the_same_dictionary():
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, first_part())
+    ratslam.reset()
+    assert len(ratslam.mapper.map) == 0
+    fly(ratslam, second_part()[1:])
+    assert len(ratslam.mapper.map) > 0
+    assert ratslam.counts['codes_without_dictionary'] == 0
+    assert ratslam.is_localised
+
+
+def test_a_pose_that_is_told_is_believed_as_well_as_it_is_known():
+    ratslam = restored()
+    told = compose(ratslam.mapper.map.pose(20), Pose2(0.1, 0.0, 0.0))
+    flown = later(second_part(), 1000.0)
+    assert fly(ratslam, flown[:20])[-1].position_sigma_m == inf
+    ratslam.put(told, 0.4, 0.2)
+    assert ratslam.is_localised
+    pose = fly(ratslam, flown[20:40])[0]
+    # One sample of odometry on.
+    assert between(told, pose.pose) == pytest.approx((0.02, 0.0, 0.01), abs=0.01)
+    assert 0.4 <= pose.position_sigma_m < 0.6
+    assert 0.2 <= pose.yaw_sigma_rad < 0.3
+
+
+def test_the_first_pose_of_all_may_be_told():
+    ratslam = RatSlam(CONFIG)
+    ratslam.put(Pose2(5.0, 6.0, 0.5), 0.4, 0.2)
+    fly(ratslam, first_part()[:60])
+    assert ratslam.mapper.map.pose(0) == pytest.approx(Pose2(5.0, 6.0, 0.5))
+
+
+# Refused
+
+def changed(name, change):
+    array = np.array(saved()[name])
+    return {**saved(), name: change(array)}
+
+
+def with_value(value, at=0):
+    def change(array):
+        array.reshape(-1)[at] = value
+        return array
+    return change
+
+
+@pytest.mark.parametrize('name, change, said', [
+    ('link_ends', lambda array: array[:, :1], 'shape'),
+    ('link_ends', with_value(10**6), 'indices below'),
+    ('link_ends', with_value(-1), 'indices below'),
+    ('link_ends', lambda array: np.repeat(array[:1], len(array), axis=0), 'expected one between'),
+    ('link_motions', lambda array: array[1:], r'the shape'),
+    ('link_makers', with_value(10**6), 'visits'),
+    ('experience_poses', with_value(np.nan), 'finite'),
+    ('experience_poses', with_value(np.inf), 'finite'),
+    ('experience_poses', lambda array: array.astype(np.float32), 'axes of <f8'),
+    ('experience_births', with_value(10**6), 'indices below'),
+    ('experience_view_cells', with_value(1), 'an experience for every view cell'),
+    ('view_cell_views', lambda array: array[:, 1:], 'the shape'),
+    ('view_cell_views', lambda array: array.astype(float), r'3 axes of \|u1'),
+    ('view_cell_decays', with_value(-1.0), 'a decay'),
+    ('visit_flown', with_value(-1.0), 'never falls'),
+    ('visit_flown', with_value(1e8, at=-1), 'never falls'),
+    ('robot_flown', with_value(1e8, at=-1), 'never falls'),
+    ('visit_runs', with_value(10**6), 'runs there were'),
+    ('visit_experiences', with_value(10**6), 'indices below'),
+    ('closure_visits', lambda array: array + 10**6, 'indices below'),
+    ('robot_stand', with_value(10**6), 'a visit'),
+    ('robot_drift', with_value(-1.0), 'none below 0'),
+    ('put_segments', lambda array: np.array([[0, 9]]), 'segments there were'),
+    ('pose_cells', lambda array: 0.0 * array, 'some activity'),
+    ('dictionaries', lambda array: 0.0 * array, 'not all 0'),
+    ('dictionaries', lambda array: array[:, 1:], 'the shape'),
+    ('dictionaries', lambda array: array[:0], 'the shape'),
+    ('view_cell_codes', lambda array: np.ones((3, array.shape[1]), np.float32), 'either all'),
+])
+def test_what_no_map_could_be_is_refused_and_the_present_one_stays(name, change, said):
+    ratslam = restored()
+    before = ratslam.state()
+    with pytest.raises(MapError, match=said):
+        ratslam.restore(changed(name, change))
+    assert_same(ratslam.state(), before)
+
+
+def test_arrays_that_are_missing_or_unknown_are_named():
+    state = dict(saved())
+    with pytest.raises(MapError, match="unknown array 'extra'"):
+        RatSlam(CONFIG).restore({**state, 'extra': np.zeros(1)})
+    del state['link_ends']
+    with pytest.raises(MapError, match="missing array 'link_ends'"):
+        RatSlam(CONFIG).restore(state)
+
+
+@pytest.mark.parametrize('key, value', [
+    ('view.width', 43), ('view.crop_top', 0.1), ('encoder.input', 'patches'),
+    ('encoder.mode', 'paper'), ('encoder.n_atoms', 32), ('pose_cells.cell_size_m', 0.5)])
+def test_a_map_made_with_another_configuration_is_refused_with_the_reason(key, value):
+    other = CONFIG.override({key: value})
+    with pytest.raises(MapError, match=f'made with {key} = .*: expected'):
+        refuse_other(other.flat(), CONFIG)
+
+
+def test_thresholds_may_be_others_than_the_map_was_made_with():
+    refuse_other(CONFIG.override({'ratslam.threshold': 0.5}).flat(), CONFIG)
+
+
+@pytest.mark.parametrize('seed', range(12))
+def test_a_map_with_nonsense_in_it_is_refused_or_flown_in_without_an_error(seed):
+    rng = np.random.default_rng(seed)
+    state = {name: np.array(array) for name, array in saved().items()}
+    for name in rng.choice(sorted(ARRAYS), 3).tolist():
+        flat = state[name].reshape(-1)
+        if flat.size:
+            at = rng.integers(flat.size, size=5)
+            flat[at] = rng.permutation(flat)[:1] + rng.integers(-1, 2)
+    try:
+        ratslam = restored(state)
+    except MapError:
+        return
+    fly(ratslam, second_part())
+    assert len(ratslam.state()['experience_poses']) > 0
+
+
+def test_the_default_configuration_has_shapes_for_every_word():
+    words = {word for spec in ARRAYS.values() for word in spec.shape if isinstance(word, str)}
+    assert {spec.index_of for spec in ARRAYS.values() if spec.index_of} <= words
+    assert Config().encoder.n_atoms > 0 and START_NS > 0
