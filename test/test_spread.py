@@ -31,7 +31,7 @@ class LoopFlight(Flight):
 
     seed: int = 0
 
-    def events(self, refused=None):
+    def events(self, refused=None, mavlink=None):
         truth = [GroundTruthSample(stamp_ns(t), pose_at(t))
                  for t in np.arange(0.0, 2.0 * LAP_S, 0.5).tolist()]
         return [*truth, *events(2.0 * LAP_S, self.seed)]

@@ -19,6 +19,9 @@ def add_pipeline(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--image-topic', metavar='TOPIC')
     parser.add_argument('--odom-topic', metavar='TOPIC')
     parser.add_argument('--ground-truth-topic', metavar='TOPIC')
+    parser.add_argument('--tlog', metavar='FILE', type=Path,
+                        help='take the odometry from this recording of a MAVLink link instead, '
+                        'on the clock of the flights')
     networks = ', '.join(name for name, method in METHODS.items() if method.has_network)
     parser.add_argument('--onnx', metavar='[NAME=]FILE', action='append', default=[],
                         help=f'the network of an encoder ({networks}; onnx if not said); '
@@ -68,11 +71,12 @@ def flights_named(paths: Sequence[Path], args: argparse.Namespace) -> list[Fligh
             raise RecordingError(f'{path}: no such file or folder')
         if not path.absolute().name:
             raise RecordingError(f'{path}: expected an MCAP file or a rosbag2 folder')
+    tlog = args.tlog and args.tlog.absolute()
     stems = [path.with_suffix('') if path.suffix == '.mcap' else path for path in paths]
     parts = [stem.absolute().parts[1:] for stem in stems]
     for depth in range(1, max(map(len, parts)) + 1):
         flights = {'_'.join(part[-depth:]): path for part, path in zip(parts, paths)}
         if len(flights) == len(paths):
             return [Flight(name, path.absolute(), args.image_topic, args.odom_topic,
-                           args.ground_truth_topic) for name, path in flights.items()]
+                           args.ground_truth_topic, tlog) for name, path in flights.items()]
     raise RecordingError(f'a flight is given twice: {", ".join(map(str, paths))}')

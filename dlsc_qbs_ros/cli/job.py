@@ -11,7 +11,7 @@ from typing import Any, Iterable, Iterator
 from tqdm import tqdm
 
 from .methods import Method, METHODS, Source
-from ..config import Config
+from ..config import Config, MavlinkConfig
 from ..core.types import Dictionary, Frame, GroundTruthSample
 from ..errors import DlscQbsError, RecordingError
 from ..evaluation.closures import false_closures
@@ -36,11 +36,13 @@ class Flight:
     image_topic: str | None = None
     odom_topic: str | None = None
     ground_truth_topic: str | None = None
+    tlog: Path | None = None
 
-    def events(self, refused: Counter[str] | None = None) -> Iterator:
+    def events(self, refused: Counter[str] | None = None,
+               mavlink: MavlinkConfig = MavlinkConfig()) -> Iterator:
         """Read it; see `read_flight`."""
         return read_flight(self.path, self.image_topic, self.odom_topic,
-                           self.ground_truth_topic, refused)
+                           self.ground_truth_topic, refused, self.tlog, mavlink)
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ def _encoded(job: Job) -> _Encoded:
 def _sensed(job: Job, truth: list[GroundTruthSample], refused: Counter[str]) -> Iterator:
     """Pass on what a drone would sense, put ground truth aside, show the progress."""
     with _shown(None, job, ' frames') as bar:
-        for event in job.flight.events(refused):
+        for event in job.flight.events(refused, job.config.mavlink):
             if isinstance(event, GroundTruthSample):
                 truth.append(event)
                 continue

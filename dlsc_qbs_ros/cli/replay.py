@@ -8,6 +8,7 @@ from pathlib import Path
 import sys
 from typing import Sequence
 
+from ..nodes.recorded_messages import Recording
 from ..nodes.replay_node import ReplayNode
 from ..ros.runtime import run_ros, StopRequest, without_ros_args
 
@@ -24,11 +25,18 @@ def _parser() -> argparse.ArgumentParser:
         prog='replay', description=__doc__,
         epilog='Topics are remapped as usual: --ros-args -r /from:=/to')
     parser.add_argument('flight', type=Path, help='an MCAP file or a rosbag2 folder')
-    parser.add_argument('--rate', type=_rate, default=1.0, metavar='R|max',
-                        help='flight time over wall time (default: 1); max: as fast as the '
-                        'nodes can follow')
+    pace = parser.add_mutually_exclusive_group()
+    pace.add_argument('--rate', type=_rate, default=1.0, metavar='R|max',
+                      help='flight time over wall time (default: 1); max: as fast as the '
+                      'nodes can follow')
+    pace.add_argument('--start-at', type=float, metavar='UNIX_S',
+                      help='start when the clock of this machine tells that, with stamps from '
+                      'then on, beside what is live')
     parser.add_argument('--topics', nargs='+', metavar='TOPIC',
                         help='play only these (default: all)')
+    parser.add_argument('--tlog', type=Path, metavar='FILE',
+                        help='play the odometry of this recording of a MAVLink link, on the clock '
+                        'of the flight, on /odom')
     parser.add_argument('--wait-for-subscribers', type=float, default=10.0, metavar='S',
                         help='longest wait, in seconds, until somebody subscribes to each '
                         'image and odometry topic (default: 10)')
@@ -46,7 +54,9 @@ def _rate(text: str) -> float:
 
 
 def _replay(options: argparse.Namespace, stop: StopRequest) -> None:
-    node = ReplayNode(options.flight, options.topics, options.rate, stop)
+    start_ns = None if options.start_at is None else int(options.start_at * 1e9)
+    node = ReplayNode(Recording(options.flight, options.tlog), options.topics, options.rate,
+                      start_ns, stop)
     try:
         played = node.play(options.wait_for_subscribers)
     finally:

@@ -1,4 +1,9 @@
-"""Make a warehouse flight: camera, drifting odometry and ground truth as a rosbag2 recording."""
+"""
+Make a warehouse flight: camera, drifting odometry and ground truth.
+
+It is recorded, as a rosbag2 folder; or its odometry is flown, in real time, by a simulated
+autopilot at the other end of a MAVLink link.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +17,7 @@ from tqdm import tqdm
 from .common import run_tool
 from ..core.types import GroundTruthSample, RawOdometry
 from ..errors import ConfigError, RecordingError
-from ..io.bag import BagWriter
+from ..io.bag_writer import BagWriter
 from ..sim.encodings import ENCODINGS
 from ..sim.simulation import Picture, simulate_flight, SimulatedFlight
 from ..sim.variations import EACH, PLAIN, Variations
@@ -35,14 +40,25 @@ def _parser() -> argparse.ArgumentParser:
                         help='1 between wall and shelves, 2 between shelves only, 3 both')
     parser.add_argument('--seed', metavar='S', type=int, default=0,
                         help='of warehouse, flight and sensors (default: %(default)s)')
-    parser.add_argument('--out', metavar='DIR', type=Path, required=True,
-                        help='the recording to make')
+    target = parser.add_mutually_exclusive_group(required=True)
+    target.add_argument('--out', metavar='DIR', type=Path, help='the recording to make')
+    target.add_argument('--mavlink', metavar='udpout:HOST:PORT', help='the link to fly on')
     parser.add_argument('--seconds', metavar='T', type=float,
                         help='duration (default: three laps and a bit, more for what follows)')
     parser.add_argument('--encoding', metavar='NAME', default='rgb8',
                         help=f'any of {", ".join(ENCODINGS)} (default: %(default)s)')
+    _add_autopilot(parser.add_argument_group('with --mavlink'))
     _add_variations(parser.add_argument_group('what happens on the way, any of it together'))
     return parser
+
+
+def _add_autopilot(group: argparse._ArgumentGroup) -> None:
+    group.add_argument('--mavlink-messages', metavar='odometry|position',
+                       choices=('odometry', 'position'), default='odometry',
+                       help='ODOMETRY, as PX4 sends it (default), or LOCAL_POSITION_NED and '
+                       'ATTITUDE, as ArduPilot does')
+    group.add_argument('--start-at', metavar='UNIX_S', type=float,
+                       help='fly when the clock of this machine tells that (default: now)')
 
 
 def _add_variations(group: argparse._ArgumentGroup) -> None:
@@ -68,6 +84,9 @@ def _simulate(args: argparse.Namespace) -> None:
     variations = Variations(**{
         field.name: getattr(args, field.name) for field in fields(Variations)})
     flight = simulate_flight(args.flight, args.seed, args.seconds, variations)
+    if args.mavlink is not None:
+        _fly(flight, args.mavlink, args.mavlink_messages, args.start_at)
+        return
     try:
         _record(flight, args.encoding, args.out)
     except OSError as error:
@@ -88,6 +107,16 @@ def _record(flight: SimulatedFlight, encoding: str, out: Path) -> None:
             stamp_ns, msg = to_msg[type(event)](event)
             writer.write(TOPICS[type(event)][0], serialize(msg), stamp_ns, stamp_ns)
             progress.update(isinstance(event, Picture))
+
+
+def _fly(flight: SimulatedFlight, address: str, messages: str, start_s: float | None) -> None:
+    from ..io.autopilot import Autopilot  # only here: recordings need no pymavlink
+    from ..io.autopilot_messages import ENCODERS
+    with Autopilot(address, ENCODERS[messages]) as autopilot:
+        autopilot.fly(flight.odometry, None if start_s is None else int(start_s * 1e9))
+        for direction, counts in (('sent', autopilot.sent), ('received', autopilot.received)):
+            print(f'{direction}: ' + ', '.join(
+                f'{count} {name}' for name, count in sorted(counts.items())))
 
 
 def _converters(encoding: str) -> dict[type, Callable]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+import heapq
 import logging
+from operator import itemgetter
 from pathlib import Path
-from typing import Iterator, Mapping
+from typing import Callable, Iterator, Mapping
 
 from .bag import bag_topics, read_bag
 from .mcap_file import BagMessage
+from ..config import MavlinkConfig
 from ..core.types import Frame, GroundTruthSample, RawOdometry
 from ..errors import DlscQbsError, RecordingError
 
@@ -22,7 +25,8 @@ _log = logging.getLogger(__name__)
 
 
 def read_flight(path: Path, image_topic: str | None = None, odom_topic: str | None = None,
-                ground_truth_topic: str | None = None, refused: Counter | None = None
+                ground_truth_topic: str | None = None, refused: Counter | None = None,
+                tlog: Path | None = None, mavlink: MavlinkConfig = MavlinkConfig()
                 ) -> Iterator[Frame | RawOdometry | GroundTruthSample]:
     """
     Read the events of a flight in the order in which they were recorded.
@@ -37,28 +41,54 @@ def read_flight(path: Path, image_topic: str | None = None, odom_topic: str | No
         Left out: `/ground_truth`, and none where the flight has no such topic.
     refused : Counter, optional
         Counts the messages that were refused, by topic.
+    tlog : Path, optional
+        A recording of a MAVLink link, on the same clock, that odometry is taken from instead of
+        a topic.
+    mavlink : MavlinkConfig
+        Which autopilot's, of those in it.
 
     Raises
     ------
     RecordingError
-        When the recording cannot be read, or a topic is missing, of the wrong type or not the
-        only one.
+        When a recording cannot be read or holds no odometry, or a topic is missing, of the wrong
+        type or not the only one.
 
     """
-    topics = bag_topics(path)
-    converters = _converters(path, topics, image_topic, odom_topic, ground_truth_topic)
     refused = Counter() if refused is None else refused
+    converters = _converters(
+        path, bag_topics(path), image_topic, odom_topic, ground_truth_topic, tlog is None)
+    events = _recorded(path, converters, refused)
+    if tlog is not None:
+        events = heapq.merge(events, _logged(tlog, mavlink, refused), key=itemgetter(0))
+    for _, event in events:
+        yield event
+
+
+def _recorded(path: Path, converters: Mapping[str, Callable], refused: Counter
+              ) -> Iterator[tuple[int, Frame | RawOdometry | GroundTruthSample]]:
     for message in read_bag(path, converters):
         try:
-            yield converters[message.topic](message)
+            yield message.log_time_ns, converters[message.topic](message)
         except DlscQbsError as error:
             if not refused[message.topic]:
                 _log.warning('%s: %s: refused: %s', path, message.topic, error)
             refused[message.topic] += 1
 
 
+def _logged(tlog: Path, mavlink: MavlinkConfig, refused: Counter
+            ) -> Iterator[tuple[int, RawOdometry]]:
+    from .mavlink_tlog import TlogOdometry  # only here: flights without one need no pymavlink
+    odometry, raw = TlogOdometry(tlog, mavlink), None
+    for raw in odometry:
+        yield raw.sample.stamp_ns, raw
+    if raw is None:
+        raise RecordingError(f'{tlog}: holds no odometry of an autopilot')
+    refused.update({f'{tlog.name} ({cause})': n for cause, n in odometry.counts.items()})
+
+
 def _converters(path: Path, topics: Mapping[str, str], image_topic: str | None,
-                odom_topic: str | None, ground_truth_topic: str | None) -> dict:
+                odom_topic: str | None, ground_truth_topic: str | None, has_odometry: bool
+                ) -> dict[str, Callable]:
     from ..ros import conversions, image_conversions  # messages belong to ros; only used here
     from ..ros.serialization import deserialize
 
@@ -66,8 +96,10 @@ def _converters(path: Path, topics: Mapping[str, str], image_topic: str | None,
     if truth is None and topics.get(GROUND_TRUTH_TOPIC) in _POSE_TYPES:
         truth = GROUND_TRUTH_TOPIC
     chosen = {
-        _only(path, topics, image_topic, _IMAGE_TYPES, truth): image_conversions.frame_from_msg,
-        _only(path, topics, odom_topic, _ODOMETRY_TYPES, truth): conversions.odometry_from_msg}
+        _only(path, topics, image_topic, _IMAGE_TYPES, truth): image_conversions.frame_from_msg}
+    if has_odometry:
+        odom = _only(path, topics, odom_topic, _ODOMETRY_TYPES, truth)
+        chosen[odom] = conversions.odometry_from_msg
     if truth is not None:
         chosen[_only(path, topics, truth, _POSE_TYPES)] = conversions.pose_stamped_from_msg
 

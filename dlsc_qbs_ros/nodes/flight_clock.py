@@ -40,9 +40,9 @@ class FlightClock:
         """Return the wall time since the clock last stood."""
         return time.monotonic() - self._start_s
 
-    def stand_at(self, flight_ns: int) -> None:
-        """Tell the time at which the flight is going to start."""
-        self._start_s, self._start_ns = time.monotonic(), flight_ns
+    def stand_at(self, flight_ns: int, lead_s: float = 0.0) -> None:
+        """Tell the time at which the flight is going to start, in so many seconds from now."""
+        self._start_s, self._start_ns = time.monotonic() + lead_s, flight_ns
         self._tell(flight_ns)
 
     def run_until(self, flight_ns: int) -> None:

@@ -13,7 +13,7 @@ from ..core.types import OdometrySample
 from ..errors import OdometryError
 from ..pipeline.odometry import OdometryNormaliser
 from ..ros.conversions import odometry_from_msg
-from ..ros.diagnostics import SequenceGaps
+from ..ros.diagnostics import SequenceGaps, why_silent
 from ..ros.qos import create_subscription, ODOMETRY_INPUT
 
 
@@ -29,6 +29,7 @@ class OdometryTopic:
     def start(self, deliver: Callable[[OdometrySample], None]) -> None:
         """Begin to deliver."""
         self._deliver = deliver
+        self._gaps.restart()
         self._subscription = create_subscription(
             self._node, Odometry, 'odom', self._on_odometry, ODOMETRY_INPUT)
 
@@ -36,9 +37,21 @@ class OdometryTopic:
         """Stop delivering."""
         self._node.destroy_subscription(self._subscription)
 
+    def reconfigure(self, config: OdometryConfig) -> None:
+        """Go on with other limits."""
+        self._normaliser.reconfigure(config)
+
     def diagnostics(self) -> Counter[str]:
         """Return what was accepted, lost, and refused by cause."""
         return self._normaliser.counts + Counter(odometry_lost=self._gaps.lost)
+
+    def why_silent(self) -> str:
+        """Return in plain words why no odometry comes."""
+        return why_silent(self._node, self._subscription)
+
+    def state(self) -> dict[str, object]:
+        """Return nothing: a topic has no state."""
+        return {}
 
     def _on_odometry(self, msg: Odometry, info: dict) -> None:
         self._gaps.observe(info['publication_sequence_number'])

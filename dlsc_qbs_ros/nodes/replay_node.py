@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from itertools import chain
-from pathlib import Path
 import time
 from typing import Collection, NamedTuple
 
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from .flight_clock import CLOCK, FlightClock
+from .flight_clock import FlightClock
 from .flow_control import FlowControl
+from .recorded_messages import advertise, Recording
 from ..errors import RecordingError
-from ..io.bag import bag_topics, BagMessage, latched_topics, read_bag
+from ..io.bag import BagMessage
 from ..ros.logging import forward_logging
-from ..ros.qos import create_publisher
 from ..ros.runtime import StopRequest
-from ..ros.serialization import header_stamp_ns, message_type
+from ..ros.serialization import header_stamp_ns
 
 SENSOR_TYPES = (
     'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage', 'nav_msgs/msg/Odometry')
@@ -46,19 +43,20 @@ class ReplayNode(Node):
     Publishes what was recorded, byte for byte, paced by the log times.
 
     `rate` is flight time over wall time; infinite: as fast as those who work on it can follow.
+    With `start_ns`, it begins when the system's clock tells that, as if recorded from then on.
     """
 
-    def __init__(self, flight: Path, topics: Collection[str] | None, rate: float,
-                 stop: StopRequest):
+    def __init__(self, recording: Recording, topics: Collection[str] | None, rate: float,
+                 start_ns: int | None, stop: StopRequest):
         super().__init__('replay')
         forward_logging(self)
-        self._flight = flight
+        self._recording = recording
+        self._start_ns = start_ns
         self._stop = stop
         self._spinner = SingleThreadedExecutor()
         self._spinner.add_node(self)
         self._flight_clock = FlightClock(self, rate, self._spin)
-        self._types = bag_topics(flight)
-        self._publishers_of = self._make_publishers(topics)
+        self._publishers_of = advertise(self, recording, topics, QUEUE_DEPTH)
         self._flow = FlowControl(
             self, {publisher.topic_name for publisher in self._publishers_of.values()},
             self._spin)
@@ -66,7 +64,7 @@ class ReplayNode(Node):
     def play(self, wait_s: float) -> Played:
         """Wait for subscribers, then play to the end or a stop request."""
         counts: Counter[str] = Counter()
-        messages = read_bag(self._flight, self._publishers_of)
+        messages = self._recording.messages(self._publishers_of, self._start_ns)
         first = next(messages, None)
         if first is None:
             return Played(counts, 0.0, 0.0)
@@ -99,39 +97,19 @@ class ReplayNode(Node):
                 return False
         return True
 
-    def _make_publishers(self, topics: Collection[str] | None) -> dict[str, Publisher]:
-        """Make a publisher for each topic to play; of a topic asked for, the type must be here."""
-        latched = latched_topics(self._flight)
-        publishers = {}
-        for topic in self._types if topics is None else topics:
-            if topic not in self._types:
-                raise RecordingError(f'{self._flight}: no topic {topic!r}; '
-                                     f'it has {", ".join(sorted(self._types)) or "none"}')
-            if topic == CLOCK:
-                continue
-            try:
-                msg_type = message_type(self._types[topic])
-            except RecordingError as error:
-                self.get_logger().warning(f'{topic} is not played: {error}')
-                continue
-            durability = (DurabilityPolicy.TRANSIENT_LOCAL if topic in latched
-                          else DurabilityPolicy.VOLATILE)
-            publishers[topic] = create_publisher(
-                self, msg_type, topic, QoSProfile(depth=QUEUE_DEPTH, durability=durability))
-        return publishers
-
     def _wait_for_subscribers(self, seconds: float, start_ns: int) -> None:
         """
         Wait, at most so long, until every sensor topic has a subscriber and no more are coming.
 
         A recorder subscribes only once it has seen the publishers and the clock.
         """
-        sensors = [topic for topic in self._publishers_of if self._types[topic] in SENSOR_TYPES]
+        sensors = [topic for topic in self._publishers_of
+                   if self._recording.types[topic] in SENSOR_TYPES]
         until_s = time.monotonic() + seconds
         seen, settled_s = None, 0.0
-        self._flight_clock.stand_at(start_ns)
+        self._stand_at(start_ns)
         while time.monotonic() < until_s and self._spin(0.05):
-            self._flight_clock.stand_at(start_ns)
+            self._stand_at(start_ns)
             counts = {topic: publisher.get_subscription_count()
                       for topic, publisher in self._publishers_of.items()}
             if counts != seen:
@@ -141,6 +119,11 @@ class ReplayNode(Node):
         for topic in sensors:
             if not self._publishers_of[topic].get_subscription_count():
                 self.get_logger().warning(f'nobody subscribes to {topic}')
+
+    def _stand_at(self, first_ns: int) -> None:
+        """Let the flight start now, or when the time of its first message has come."""
+        lead_s = 0.0 if self._start_ns is None else (first_ns - time.time_ns()) * 1e-9
+        self._flight_clock.stand_at(first_ns, lead_s)
 
     def _wait_until_acknowledged(self, topic: str) -> None:
         """Wait, at most `PATIENCE_S`, until reliable subscribers have all that was published."""

@@ -57,6 +57,12 @@ def deserialize(data: bytes, name: str):
         raise RecordingError(f'{len(data)} bytes cannot be read as {name}') from error
 
 
+def begins_with_header(name: str) -> bool:
+    """Whether the messages of a full type name begin with a std_msgs/Header."""
+    fields = message_type(name).get_fields_and_field_types()
+    return next(iter(fields.values()), None) == 'std_msgs/Header'
+
+
 def header_stamp_ns(data: bytes) -> int:
     """
     Return the stamp of a serialised message that begins with a std_msgs/Header.
@@ -67,8 +73,17 @@ def header_stamp_ns(data: bytes) -> int:
         When the data is too short to hold one.
 
     """
+    sec, nanosec = struct.unpack_from(_stamp_format(data), data, 4)
+    return sec * 1_000_000_000 + nanosec
+
+
+def with_header_stamp(data: bytes, stamp_ns: int) -> bytes:
+    """Return the same message with another stamp; see `header_stamp_ns`."""
+    stamp = struct.pack(_stamp_format(data), *divmod(stamp_ns, 1_000_000_000))
+    return data[:4] + stamp + data[12:]
+
+
+def _stamp_format(data: bytes) -> str:
     if len(data) < 12:
         raise RecordingError(f'{len(data)} bytes hold no header')
-    little_endian = data[1] & 1
-    sec, nanosec = struct.unpack_from('<iI' if little_endian else '>iI', data, 4)
-    return sec * 1_000_000_000 + nanosec
+    return '<iI' if data[1] & 1 else '>iI'

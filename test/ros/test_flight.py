@@ -4,13 +4,15 @@ from array import array
 from collections import Counter
 from math import nan
 
+from dlsc_qbs_ros.config import MavlinkConfig
 from dlsc_qbs_ros.core.types import Frame, GroundTruthSample, OdometrySample, Pose2, RawOdometry
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io.bag import BagWriter
+from dlsc_qbs_ros.io.bag_writer import BagWriter
 from dlsc_qbs_ros.io.flight import read_flight
 from dlsc_qbs_ros.ros.conversions import odometry_to_msg, pose_stamped_to_msg
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.serialization import serialize, type_name
+from link_log import write_tlog
 import numpy as np
 import pytest
 from std_msgs.msg import String
@@ -123,3 +125,58 @@ def test_a_message_that_is_cut_is_refused(tmp_path):
     refused = Counter()
     assert list(read_flight(tmp_path / 'flight', refused=refused)) == []
     assert refused == {'/i': 1, '/o': 1}
+
+
+SECOND_NS = 1_000_000_000
+BOOT_NS = 1_700_000_000 * SECOND_NS
+
+
+def flown(seconds):
+    """Give odometry of so many seconds after boot, at 2 m/s along x."""
+    return [RawOdometry(OdometrySample(
+        BOOT_NS + second * SECOND_NS, Pose2(2.0 * second, 0.5, 0.0)), 2.0, 0.0, 0.0)
+        for second in seconds]
+
+
+def test_odometry_may_come_from_a_recording_of_a_link(tmp_path):
+    flight = record(tmp_path / 'flight', [
+        ('/camera/image_raw', image(BOOT_NS)), ('/odom', odometry(BOOT_NS))])
+    tlog = write_tlog(tmp_path / 'link.tlog', flown([10, 20]), BOOT_NS)
+    frame, *raw = read_flight(flight, tlog=tlog)
+    assert isinstance(frame, Frame)
+    assert [sample.sample.pose.x_m for sample in raw] == pytest.approx([20.0, 40.0])
+    assert [sample.sample.stamp_ns for sample in raw] == [
+        BOOT_NS + 10 * SECOND_NS, BOOT_NS + 20 * SECOND_NS]
+
+
+def test_the_two_are_merged_in_the_order_in_which_they_came(tmp_path):
+    with BagWriter(tmp_path / 'flight') as writer:
+        writer.add_topic('/camera/image_raw', 'sensor_msgs/msg/Image')
+        for second in (5, 15, 25):
+            stamp_ns = BOOT_NS + second * SECOND_NS
+            writer.write('/camera/image_raw', serialize(image(stamp_ns)), stamp_ns, stamp_ns)
+    tlog = write_tlog(tmp_path / 'link.tlog', flown([10, 20]), BOOT_NS)
+    assert [type(event) for event in read_flight(tmp_path / 'flight', tlog=tlog)] == [
+        Frame, RawOdometry, Frame, RawOdometry, Frame]
+
+
+def test_what_the_log_lost_is_counted_beside_what_was_refused(tmp_path):
+    flight = record(tmp_path / 'flight', [('/camera/image_raw', image(1))])
+    tlog = write_tlog(tmp_path / 'link.tlog', flown([10, 11]), BOOT_NS)
+    tlog.write_bytes(tlog.read_bytes() + bytes(100))
+    refused = Counter()
+    assert len(list(read_flight(flight, tlog=tlog, refused=refused))) == 3
+    assert refused == {'link.tlog (mavlink_corrupt)': 1}
+
+
+def test_the_autopilot_of_a_log_is_chosen_by_its_id(tmp_path):
+    flight = record(tmp_path / 'flight', [('/camera/image_raw', image(1))])
+    tlog = write_tlog(tmp_path / 'link.tlog', flown([10]), BOOT_NS)
+    with pytest.raises(RecordingError, match='link.tlog: holds no odometry of an autopilot'):
+        list(read_flight(flight, tlog=tlog, mavlink=MavlinkConfig(system=2)))
+
+
+def test_a_log_that_is_not_there_is_refused(tmp_path):
+    flight = record(tmp_path / 'flight', [('/camera/image_raw', image(1))])
+    with pytest.raises(RecordingError, match='gone.tlog: No such file'):
+        list(read_flight(flight, tlog=tmp_path / 'gone.tlog'))

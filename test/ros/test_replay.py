@@ -3,13 +3,14 @@
 import signal
 import time
 
-from dlsc_qbs_ros.core.types import Code, OdometrySample, Pose2
-from dlsc_qbs_ros.io.bag import BagWriter
+from dlsc_qbs_ros.core.types import Code, OdometrySample, Pose2, RawOdometry
+from dlsc_qbs_ros.io.bag_writer import BagWriter
 from dlsc_qbs_ros.io.message_definitions import message_definition
 from dlsc_qbs_ros.ros.conversions import code_to_msg, odometry_to_msg
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.serialization import serialize, type_name
 from dlsc_qbs_ros.ros.stamps import stamp_to_ns
+from link_log import write_tlog
 from mcap.writer import Writer
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -75,6 +76,41 @@ def test_every_message_is_delivered_in_order_with_the_clock(start, observer, tmp
     assert set(expected_ns) <= set(ticks_ns)
     assert '100 /odom' in replay.text() and '20 /camera/image_raw' in replay.text()
     assert '2.0 s of flight' in replay.text()
+
+
+def test_with_a_start_it_plays_as_if_it_were_recorded_then(start, observer, tmp_path):
+    latched = ('/latched', String(data='kept'))
+    flight = record(tmp_path / 'flight', n=10, more=[latched])
+    images = observer.collect(Image, '/camera/image_raw')
+    poses = observer.collect(Odometry, '/odom')
+    clock = observer.collect(Clock, '/clock')
+    start_ns = time.time_ns() // 1_000_000_000 * 1_000_000_000 + 2_000_000_000
+    replay = start('cli.replay', flight, '--start-at', start_ns / 1e9)
+    observer.spin_until(lambda: poses)
+    assert time.time_ns() >= start_ns
+    observer.spin_until(lambda: len(poses) == 10 and len(images) == 2 and stamp_to_ns(
+        clock[-1].clock) == start_ns + 9 * PERIOD_NS)
+    assert stamps_ns(poses) == [start_ns + k * PERIOD_NS for k in range(10)]
+    assert stamps_ns(images) == [start_ns, start_ns + IMAGE_EVERY * PERIOD_NS]
+    assert images[0].data == image(START_NS).data
+    assert replay.wait() == 0
+
+
+def test_odometry_of_a_link_takes_the_place_of_what_was_recorded(start, observer, tmp_path):
+    flight = record(tmp_path / 'flight', n=50)
+    samples = [RawOdometry(OdometrySample(START_NS + k * PERIOD_NS + 5_000_000,
+                                          Pose2(float(k), 0.0, 0.0)), 1.0, 0.0, 0.5)
+               for k in range(50)]
+    tlog = write_tlog(tmp_path / 'link.tlog', samples, START_NS - PERIOD_NS)
+    images = observer.collect(Image, '/camera/image_raw')
+    poses = observer.collect(Odometry, '/odom')
+    replay = start('cli.replay', flight, '--rate', 'max', '--tlog', tlog)
+    observer.spin_until(lambda: not replay.is_running() and len(poses) == 50)
+    assert replay.wait() == 0, replay.text()
+    assert stamps_ns(poses) == [raw.sample.stamp_ns for raw in samples]
+    assert [msg.pose.pose.position.x for msg in poses] == pytest.approx(range(50))
+    assert {msg.twist.twist.angular.z for msg in poses} == {0.5}
+    assert len(images) == 10
 
 
 def test_topics_are_chosen_and_remapped(start, observer, tmp_path):
@@ -197,7 +233,8 @@ def test_a_signal_ends_it_in_peace(start, observer, tmp_path, number):
 @pytest.mark.parametrize('arguments, error', [
     (['nothing'], 'error: nothing: no such file or folder'),
     (['flight', '--topics', '/gone'],
-     "error: flight: no topic '/gone'; it has /camera/image_raw, /odom")])
+     "error: flight: no topic '/gone'; it has /camera/image_raw, /odom"),
+    (['flight', '--tlog', 'gone.tlog'], 'error: gone.tlog: No such file or directory')])
 def test_what_cannot_be_played_is_one_line(start, tmp_path, arguments, error):
     record(tmp_path / 'flight', n=1)
     replay = start('cli.replay', *arguments)
@@ -235,3 +272,9 @@ def test_a_rate_must_be_above_zero(start, rate):
     replay = start('cli.replay', 'flight', f'--rate={rate}')
     assert replay.wait() == 2
     assert f'argument --rate: {rate}: expected a number above 0, or max' in replay.text()
+
+
+def test_a_start_leaves_no_choice_of_the_rate(start):
+    replay = start('cli.replay', 'flight', '--start-at', '1', '--rate', '2')
+    assert replay.wait() == 2
+    assert 'not allowed with argument' in replay.text()

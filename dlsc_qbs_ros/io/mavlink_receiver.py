@@ -1,0 +1,93 @@
+"""Packets from anyone → the odometry of one autopilot: all of a link but lines and threads."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Callable, Iterator
+
+from .mavlink_clock import AutopilotClock
+from .mavlink_framing import dialect, Framer, Packet, SequenceCounter
+from .mavlink_odometry import OdometryAssembler
+from .mavlink_signing import Signing
+from ..config import MavlinkConfig
+from ..core.types import RawOdometry
+
+
+def _ignore(message: dialect.MAVLink_message) -> None:
+    pass
+
+
+class Receiver:
+    """
+    Believes one autopilot: the first whose HEARTBEAT fits the configuration.
+
+    Other messages of it go to `on_message` as well; with `signing`, nothing unsigned is believed.
+    """
+
+    def __init__(self, config: MavlinkConfig, *, signing: Signing | None = None,
+                 on_message: Callable[[dialect.MAVLink_message], None] = _ignore):
+        self._config = config
+        self._signing = signing
+        self._on_message = on_message
+        self._framer = Framer(True)
+        self._sequence = SequenceCounter()
+        self.clock = AutopilotClock()
+        self._assembler = OdometryAssembler(self.clock)
+        self._counts: Counter[str] = Counter()
+        self.autopilot: tuple[int, int] | None = None
+        self.foreign = 0
+        self.unknown = 0
+        self.accepted = 0
+
+    def connected(self, datagrams: bool) -> None:
+        """Begin with a new line, of datagrams or a stream."""
+        self._counts['mavlink_corrupt'] += self._framer.corrupt
+        self._framer = Framer(datagrams)
+
+    def receive(self, data: bytes, arrival_ns: int) -> Iterator[RawOdometry]:
+        """Yield the odometry that these bytes complete."""
+        for packet in self._framer.feed(data):
+            yield from self.take(packet, arrival_ns)
+
+    def take(self, packet: Packet, arrival_ns: int) -> Iterator[RawOdometry]:
+        """Yield the odometry that this packet completes."""
+        refusal = self._signing.refusal(packet) if self._signing else None
+        if refusal:
+            self._counts[refusal] += 1
+            return
+        sender = packet.system, packet.component
+        if self.autopilot is None and self._is_wanted(packet):
+            self.autopilot = sender
+        if sender != self.autopilot:
+            self.foreign += 1
+            return
+        self._sequence.observe(packet)
+        if packet.message is None:
+            self.unknown += 1
+            return
+        self.accepted += 1
+        self._on_message(packet.message)
+        yield from self._assembler.take(packet.message, arrival_ns)
+
+    def counts(self) -> Counter[str]:
+        """Return what was amiss, by cause."""
+        return self._counts + self.clock.counts + self._assembler.counts + Counter(
+            mavlink_corrupt=self._framer.corrupt, mavlink_lost=self._sequence.lost,
+            mavlink_reordered=self._sequence.reordered)
+
+    def state(self, now_ns: int) -> dict[str, object]:
+        """Return the autopilot, what came, and the state of its clock."""
+        system, component = self.autopilot or (0, 0)
+        return {
+            'mavlink_autopilot': f'{system}/{component}' if self.autopilot else 'none',
+            'mavlink_packets': self.accepted, 'mavlink_foreign': self.foreign,
+            'mavlink_unknown': self.unknown,
+            'odometry_sigma_m': self._assembler.position_sigma_m,
+            **self.clock.state(now_ns)}
+
+    def _is_wanted(self, packet: Packet) -> bool:
+        message = packet.message
+        return (message is not None and message.get_type() == 'HEARTBEAT'
+                and message.autopilot != dialect.MAV_AUTOPILOT_INVALID
+                and self._config.system in (0, packet.system)
+                and self._config.component in (0, packet.component))
