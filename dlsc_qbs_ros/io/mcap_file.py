@@ -49,8 +49,8 @@ def file_topics(path: Path) -> dict[str, RecordedTopic]:
     """
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    with _opened(path) as stream:
-        if not _is_finished(stream):
+    with opened(path) as stream:
+        if not is_finished(stream):
             _collect(_records_before_cut(path, stream), schemas, channels)
             if not channels:
                 raise RecordingError(f'{path}: cut before its first message')
@@ -81,8 +81,8 @@ def file_messages(path: Path, topics: Collection[str]) -> Iterator[BagMessage]:
         When the file is damaged before its end.
 
     """
-    with _opened(path) as stream:
-        if not _is_finished(stream):
+    with opened(path) as stream:
+        if not is_finished(stream):
             yield from _messages_before_cut(path, stream, topics)
             return
         messages = make_reader(stream, validate_crcs=True).iter_messages(topics=list(topics))
@@ -152,7 +152,7 @@ def _is_latched(channel: Channel) -> bool:
     return re.search(r'durability: (transient_local|1)\b', profiles) is not None
 
 
-def _opened(path: Path) -> IO[bytes]:
+def opened(path: Path) -> IO[bytes]:
     try:
         stream = open(path, 'rb')
     except OSError as error:
@@ -165,7 +165,7 @@ def _opened(path: Path) -> IO[bytes]:
     return stream
 
 
-def _is_finished(stream: IO[bytes]) -> bool:
+def is_finished(stream: IO[bytes]) -> bool:
     """Tell whether the file ends as a finished one does; leave the stream at its start."""
     size = stream.seek(0, 2)
     stream.seek(max(size - len(MCAP0_MAGIC), len(MCAP0_MAGIC)))

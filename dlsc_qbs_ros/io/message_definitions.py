@@ -13,9 +13,34 @@ from ..errors import RecordingError
 
 _SEPARATOR = '=' * 80
 _FIELD_TYPE = re.compile(r'^(?P<type>[A-Za-z][\w/]*)')
+_IDL_INCLUDE = re.compile(r'^[ \t]*#include\s+["<]([\w/]+)\.idl[">].*\n?', re.MULTILINE)
 _PRIMITIVES = frozenset((
     'bool', 'byte', 'char', 'float32', 'float64', 'int8', 'uint8', 'int16', 'uint16',
     'int32', 'uint32', 'int64', 'uint64', 'string', 'wstring'))
+
+
+@lru_cache(maxsize=None)
+def schema(type_name: str) -> tuple[str, str]:
+    """
+    Return the encoding and text that tell readers of a file what a type looks like.
+
+    `ros2msg` where the definition and those it needs are installed as .msg, else `ros2idl`, in
+    which every part, the first too, has a heading and none includes another: all are there.
+
+    Raises
+    ------
+    RecordingError
+        When they are installed as neither.
+
+    """
+    try:
+        return 'ros2msg', message_definition(type_name)
+    except RecordingError:
+        texts = _idl_texts(type_name)
+        if texts is None:
+            raise
+    return 'ros2idl', '\n'.join(
+        f'{_SEPARATOR}\nIDL: {name}\n{_IDL_INCLUDE.sub("", text)}' for name, text in texts.items())
 
 
 @lru_cache(maxsize=None)
@@ -65,6 +90,21 @@ def _field_types(type_name: str, text: str) -> list[str]:
         parts = match['type'].split('/')
         names.append('/'.join((parts[0] if len(parts) > 1 else package, 'msg', parts[-1])))
     return names
+
+
+def _idl_texts(type_name: str) -> dict[str, str] | None:
+    """Return the .idl texts of a type and all it includes, or None where one is missing."""
+    texts: dict[str, str] = {}
+    missing = [type_name]
+    while missing:
+        name = missing.pop(0)
+        path = _find(name, '.idl')
+        if path is None:
+            return None
+        texts[name] = path.read_text(encoding='utf-8')
+        missing += [found for found in _IDL_INCLUDE.findall(texts[name])
+                    if found not in texts and found not in missing]
+    return texts
 
 
 def _text(type_name: str) -> str:

@@ -7,8 +7,9 @@ import subprocess
 import sys
 
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io.bag import bag_topics, BagMessage, BagWriter, latched_topics, read_bag
-from dlsc_qbs_ros.io.message_definitions import message_definition, type_hash
+from dlsc_qbs_ros.io.bag import bag_topics, BagMessage, latched_topics, read_bag
+from dlsc_qbs_ros.io.bag_writer import BagWriter
+from dlsc_qbs_ros.io.message_definitions import message_definition, schema, type_hash
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.qos import qos_to_words
 from dlsc_qbs_ros.ros.serialization import serialize
@@ -191,6 +192,40 @@ def test_a_sourced_installation_comes_first(tmp_path, monkeypatch):
     assert type_hash('bar_msgs/msg/Bar') == ''
 
 
+IDL = {'Outer': '''#include "idl_msgs/msg/Inner.idl"
+module idl_msgs { module msg { struct Outer { idl_msgs::msg::Inner inner; long number; }; }; };
+''', 'Inner': 'module idl_msgs { module msg { struct Inner { string name; }; }; };\n'}
+
+
+def test_a_type_that_is_defined_in_idl_alone_is_recorded_in_idl(tmp_path, monkeypatch):
+    folder = tmp_path / 'share' / 'idl_msgs' / 'msg'
+    folder.mkdir(parents=True)
+    for name, text in IDL.items():
+        (folder / f'{name}.idl').write_text(text)
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    heading = '=' * 80 + '\nIDL: idl_msgs/msg/'
+    assert schema('idl_msgs/msg/Outer') == ('ros2idl', '\n'.join(
+        heading + name + '\n' + text.removeprefix('#include "idl_msgs/msg/Inner.idl"\n')
+        for name, text in IDL.items()))
+    data = serialize(String(data='abc')) + bytes((7, 0, 0, 0))  # the string fills 8 bytes
+    with BagWriter(tmp_path / 'flight') as writer:
+        writer.add_topic('/outer', 'idl_msgs/msg/Outer')
+        writer.write('/outer', data, 1, 1)
+    with AnyReader([tmp_path / 'flight']) as reader:
+        (connection, _, data), = reader.messages()
+        outer = reader.deserialize(data, connection.msgtype)
+    assert (outer.inner.name, outer.number) == ('abc', 7)
+
+
+def test_a_type_that_lacks_a_part_in_idl_too_is_refused(tmp_path, monkeypatch):
+    folder = tmp_path / 'share' / 'half_msgs' / 'msg'
+    folder.mkdir(parents=True)
+    (folder / 'Half.idl').write_text('#include "half_msgs/msg/Other.idl"\n')
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    with pytest.raises(RecordingError, match="no message definition of 'half_msgs/msg/Half'"):
+        schema('half_msgs/msg/Half')
+
+
 def test_recordings_of_rosbags_are_read(tmp_path):
     store = get_typestore(Stores.ROS2_JAZZY)
     string = store.types[STRING]
@@ -319,7 +354,7 @@ def test_a_bit_that_flipped_does_not_pass(bag, missing):
 FULL_DISK = '''
 import resource, sys
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io.bag import BagWriter
+from dlsc_qbs_ros.io.bag_writer import BagWriter
 resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
 writer = BagWriter(sys.argv[1])
 writer.add_topic('/camera', 'sensor_msgs/msg/Image')
@@ -332,15 +367,19 @@ for attempt in (lambda: [writer.write('/camera', bytes(100_000), k, k) for k in 
 '''
 
 
-def test_a_full_disk_is_an_error_and_what_was_written_stays(tmp_path):
+def test_where_no_more_may_be_written_is_an_error_and_what_was_written_is_whole(tmp_path):
     output = subprocess.run(
         [sys.executable, '-c', FULL_DISK, tmp_path / 'flight'], cwd=Path(__file__).parents[2],
         capture_output=True, text=True, check=True)
     path = tmp_path / 'flight' / 'flight_0.mcap'
     assert output.stderr == ''
-    assert output.stdout.splitlines() == 3 * [f'{path}: cannot be written: File too large']
-    assert [m.log_time_ns for m in read_bag(tmp_path / 'flight')] == list(range(22))
-    assert (tmp_path / 'flight' / 'metadata.yaml').is_file()
+    assert output.stdout.splitlines() == 3 * [
+        f'{path}: cannot be written: File too large; 11 messages before it are lost']
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert [m.log_time for _, _, m in reader.iter_messages()] == list(range(22))
+    with AnyReader([tmp_path / 'flight']) as reader:
+        assert reader.message_count == 22
 
 
 @pytest.mark.parametrize('mode', ['message', 'FILE'])
