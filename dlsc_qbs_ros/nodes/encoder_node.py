@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import ExitStack
 import sys
 import time
 
-from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage, Image
 
 from .encoder_scope import EncoderScope
+from ..config import Config
 from ..errors import DlscQbsError, ImageError, StampError
 from ..pipeline.encoder import Encoded, Encoder
 from ..ros.conversions import code_to_msg, dictionary_to_msg, view_to_msg
-from ..ros.diagnostics import OK, PERIOD_S, publish_diagnostics, SequenceGaps, WARN
+from ..ros.diagnostics import OK, PERIOD_S, SequenceGaps, WARN, why_silent
 from ..ros.image_conversions import frame_from_msg
-from ..ros.logging import forward_logging
-from ..ros.parameters import load_config
+from ..ros.managed_node import ManagedNode
 from ..ros.qos import create_publisher, create_subscription, DICTIONARY, IMAGE_INPUT, OUTPUT
 from ..ros.runtime import run_node
 from ..ros.stamps import received_ns
@@ -24,13 +24,15 @@ from ..ros.stamps import received_ns
 PROBLEMS = ('lost', 'refused_malformed', 'refused_out_of_order', 'ran_away')
 
 
-class EncoderNode(Node):
+class EncoderNode(ManagedNode):
     """Feeds every image to the encoder and publishes what comes out, under the image's stamp."""
 
     def __init__(self):
-        super().__init__('encoder')
-        forward_logging(self)
-        config = load_config(self, ('image', 'view', 'encoder'))
+        super().__init__('encoder', ('image', 'view', 'encoder', 'patches'))
+
+    def configure(self, config: Config, undo: ExitStack) -> None:
+        """Make the learner and what it is heard by."""
+        self._image_type = CompressedImage if config.image.compressed else Image
         self._encoder = Encoder(config)
         self._gaps = SequenceGaps()
         self._counts: Counter[str] = Counter()
@@ -40,9 +42,12 @@ class EncoderNode(Node):
         self._view_publisher = create_publisher(self, Image, 'view', OUTPUT)
         self._code_publisher = create_publisher(self, Image, 'code', OUTPUT)
         self._scope = EncoderScope(self, self._encoder)
-        create_subscription(self, CompressedImage if config.image.compressed else Image, 'image',
-                            self._on_image, IMAGE_INPUT)
-        publish_diagnostics(self, self._report)
+
+    def activate(self, undo: ExitStack) -> None:
+        """Listen to images."""
+        self._gaps.restart()
+        self._images = create_subscription(
+            self, self._image_type, 'image', self._on_image, IMAGE_INPUT)
 
     def _on_image(self, msg: Image | CompressedImage, info: dict) -> None:
         self._counts['received'] += 1
@@ -73,28 +78,36 @@ class EncoderNode(Node):
         self._code_publisher.publish(code_to_msg(encoded.code))
         self._last = encoded
 
-    def _report(self) -> tuple[bytes, str, dict[str, object]]:
+    def report(self) -> tuple[bytes, str, dict[str, object]]:
+        """Say how it goes, and what is amiss."""
         self._counts['lost'] = self._gaps.lost
         new = self._counts - self._reported
         self._reported = self._counts.copy()
-        problems = [f'{new[key]} {key.replace("_", " ")}'
-                    for key in PROBLEMS if new[key]]
-        if not new['received']:
-            problems.append('no images')
         encoded = new['encoded']
         values = {key: self._counts[key] for key in (
             'received', 'encoded', 'learned', *PROBLEMS)}
         values['rate_hz'] = encoded / PERIOD_S
         values['latency_ms'] = new['latency_ns'] * 1e-6 / encoded if encoded else 0.0
         values['gate_open_share'] = new['learned'] / encoded if encoded else 0.0
-        lambda_max, limit = self._encoder.lambda_max, self._encoder.lambda_max_limit
-        values.update(lambda_max=lambda_max, lambda_max_limit=limit)
-        if lambda_max >= limit:  # as it stays where nothing protects the learner
-            problems.append(f'lambda_max {lambda_max:.6g} is not below {limit:.6g}')
+        values['lambda_max'] = self._encoder.lambda_max
+        values['lambda_max_limit'] = self._encoder.lambda_max_limit
         if self._last is not None:
             values.update(surprise=self._last.surprise, epoch=self._last.epoch,
                           reprojection_error=self._last.reprojection_error)
+        problems = self._problems(new)
         return WARN if problems else OK, ', '.join(problems) or 'encoding', values
+
+    def _problems(self, new: Counter[str]) -> list[str]:
+        """Return what is amiss about what is new since the last report, causes first."""
+        problems = [f'{new[key]} {key.replace("_", " ")}' for key in PROBLEMS if new[key]]
+        if not new['received']:
+            problems.insert(0, f'no image: {why_silent(self, self._images)}')
+        elif new['refused_out_of_order'] == new['received']:
+            problems.insert(0, 'image stamps do not advance')
+        lambda_max, limit = self._encoder.lambda_max, self._encoder.lambda_max_limit
+        if lambda_max >= limit:  # as it stays where nothing protects the learner
+            problems.append(f'lambda_max {lambda_max:.6g} is not below {limit:.6g}')
+        return problems
 
 
 def main(args: list[str] | None = None) -> int:

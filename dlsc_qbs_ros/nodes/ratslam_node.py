@@ -3,82 +3,88 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from math import inf
 import sys
 import time
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import Path
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import Image
-from visualization_msgs.msg import MarkerArray
 
-from .odometry_topic import OdometryTopic
+from .map_publisher import MapPublisher
+from .map_services import MapServices
+from .odometry_source import create_odometry_source, create_vision_output
+from .pose_publisher import PosePublisher
 from .ratslam_report import RatSlamReport
-from ..core.types import OdometrySample, PoseEstimate
+from ..config import Config
+from ..core.types import Code, OdometrySample, PoseEstimate
 from ..errors import ImageError
 from ..pipeline.mapper import Mapper
 from ..pipeline.ratslam import RatSlam
-from ..ros.conversions import code_from_msg, dictionary_from_msg, pose_to_msg, view_from_msg
-from ..ros.diagnostics import publish_diagnostics
-from ..ros.logging import forward_logging
-from ..ros.map_conversions import experience_map_to_msg, path_to_msg, TFMessage, transform_to_msg
-from ..ros.parameters import load_config
-from ..ros.qos import (
-    create_publisher, create_subscription, DICTIONARY, MAP, OUTPUT, wait_until_received)
+from ..ros.conversions import code_from_msg, dictionary_from_msg, view_from_msg
+from ..ros.diagnostics import why_silent
+from ..ros.managed_node import ManagedNode
+from ..ros.qos import create_subscription, DICTIONARY, OUTPUT
 from ..ros.runtime import run_node
 
 SETTLE_PERIOD_S = 0.02
-MAP_PERIOD_S = 0.5
-LAST_WORDS_S = 0.5
 
 
-class RatSlamNode(Node):
+class RatSlamNode(ManagedNode):
     """Feeds what arrives to the pipeline and publishes what it has settled, in stamp order."""
 
     def __init__(self):
-        super().__init__('ratslam')
-        forward_logging(self)
-        config = load_config(self, ('view', 'encoder', 'odometry', 'ratslam', 'pose_cells'))
+        super().__init__(
+            'ratslam', ('view', 'encoder', 'patches', 'odometry', 'mavlink', 'ratslam',
+                        'pose_cells'))
+
+    def configure(self, config: Config, undo: ExitStack) -> None:
+        """Make an empty map and what it is heard by."""
         self._config = config.ratslam
-        self._map_ns: int | None = None
         self._reencoder = ThreadPoolExecutor(1, thread_name_prefix='reencoding')
+        undo.callback(self._reencoder.shutdown, cancel_futures=True)
         self._ratslam = RatSlam(config, self._reencoder, self._on_update)
-        self._pose_publisher = create_publisher(self, PoseWithCovarianceStamped, 'pose', OUTPUT)
-        self._path_publisher = create_publisher(self, Path, 'path', MAP)
-        self._map_publisher = create_publisher(self, MarkerArray, 'experience_map', MAP)
-        self._tf_publisher = self._create_tf_publisher()
-        self._odometry = OdometryTopic(self, config.odometry)
+        self._map_publisher = MapPublisher(self)
+        self._odometry = create_odometry_source(self, config)
+        self._pose_publisher = PosePublisher(self, self._odometry)
+        self._vision = create_vision_output(self._odometry, config)
         self._report = RatSlamReport(self._ratslam, self._odometry)
-        for topic, qos, from_msg, add in (
+        self._map_services = MapServices(self, self._ratslam, config)
+        undo.callback(self._map_services.stop)
+
+    def activate(self, undo: ExitStack) -> None:
+        """Listen to codes and odometry."""
+        undo.callback(self._finish)
+        *_, codes = [
+            create_subscription(self, Image, topic, self._receiver(topic, from_msg, add), qos)
+            for topic, qos, from_msg, add in (
                 ('dictionary', DICTIONARY, dictionary_from_msg, self._ratslam.add_dictionary),
                 ('view', OUTPUT, view_from_msg, self._ratslam.add_view),
-                ('code', OUTPUT, code_from_msg, self._add_code)):
-            create_subscription(self, Image, topic, self._receiver(topic, from_msg, add), qos)
+                ('code', OUTPUT, code_from_msg, self._add_code))]
+        self._report.streams_begin(lambda: why_silent(self, codes))
         self._odometry.start(self._on_odometry)
+        undo.callback(self._odometry.stop)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(SETTLE_PERIOD_S, self._settle, clock=steady)
-        self.create_timer(MAP_PERIOD_S, self._publish_map, clock=steady)
-        publish_diagnostics(self, self._report)
+        self.create_timer(MapPublisher.PERIOD_S, self._publish_map, clock=steady)
 
-    def destroy_node(self) -> None:
-        """Settle what is left, publish the last state of the map, then end."""
-        self._odometry.stop()
-        self._reencoder.shutdown()
+    def reconfigure(self, config: Config) -> None:
+        """Go on with other thresholds, periods and deviations."""
+        self._config = config.ratslam
+        self._ratslam.reconfigure(config)
+        self._odometry.reconfigure(config.odometry)
+        self._map_services.reconfigure(config)
+
+    def report(self) -> tuple[bytes, str, dict[str, object]]:
+        """Say how it goes, and what is amiss."""
+        level, message, values = self._report()
+        return level, message, {**values, **(self._vision.counts if self._vision else {})}
+
+    def _finish(self) -> None:
+        """Settle what is left and publish the last state of the map."""
         self._settle(inf)
-        self._publish_map()
-        wait_until_received(
-            (self._pose_publisher, self._path_publisher, self._map_publisher), LAST_WORDS_S)
-        super().destroy_node()
-
-    def _create_tf_publisher(self):
-        if not self._config.publish_tf:
-            return None
-        if TFMessage is None:
-            self.get_logger().warning('tf2_msgs is not installed: nothing goes out on /tf')
-            return None
-        return create_publisher(self, TFMessage, '/tf', OUTPUT)
+        self._map_publisher.publish_last(self._ratslam.mapper, self._config.map_frame)
+        self._pose_publisher.finish()
 
     def _receiver(self, topic: str, from_msg, add):
         def receive(msg: Image, info: dict) -> None:
@@ -92,7 +98,8 @@ class RatSlamNode(Node):
             self._settle()
         return receive
 
-    def _add_code(self, code) -> None:
+    def _add_code(self, code: Code) -> None:
+        self._report.code_arrived(code.stamp_ns)
         self._ratslam.add_code(code, time.monotonic())
 
     def _on_odometry(self, sample: OdometrySample) -> None:
@@ -101,7 +108,10 @@ class RatSlamNode(Node):
         self._settle()
 
     def _on_update(self, mapper: Mapper) -> None:
-        self._map_ns = mapper.odometry.stamp_ns
+        self._map_publisher.map_updated(mapper.odometry.stamp_ns)
+        if self._vision:
+            self._vision.map_updated(
+                mapper.odometry.stamp_ns, int(mapper.map.is_closure.sum()))
 
     def _settle(self, now_s: float | None = None) -> None:
         now_s = time.monotonic() if now_s is None else now_s
@@ -109,29 +119,13 @@ class RatSlamNode(Node):
             self._publish_pose(estimate)
 
     def _publish_pose(self, estimate: PoseEstimate) -> None:
-        self._pose_publisher.publish(pose_to_msg(estimate, self._config.map_frame))
+        self._pose_publisher.publish(estimate, self._config)
         self._report.pose_published(estimate)
-        if self._tf_publisher is not None:
-            self._publish_transform(estimate)
-
-    def _publish_transform(self, estimate: PoseEstimate) -> None:
-        parent, child = self._config.map_frame, self._odometry.frame_id
-        if parent == child:
-            self.get_logger().error(f'odometry is in {child!r}, the frame of the map: no '
-                                    'transform goes out; rename one of them', once=True)
-            return
-        self._tf_publisher.publish(transform_to_msg(
-            estimate.stamp_ns, estimate.map_T_odom, parent, child))
+        if self._vision:
+            self._vision.offer(estimate)
 
     def _publish_map(self) -> None:
-        """Publish the map when it has been updated since it last was."""
-        if self._map_ns is None:
-            return
-        graph, frame = self._ratslam.mapper.map, self._config.map_frame
-        self._path_publisher.publish(path_to_msg(self._map_ns, graph.poses, frame))
-        self._map_publisher.publish(experience_map_to_msg(
-            self._map_ns, graph.poses, graph.links, graph.links[graph.is_closure], frame))
-        self._map_ns = None
+        self._map_publisher.publish(self._ratslam.mapper, self._config.map_frame)
 
 
 def main(args: list[str] | None = None) -> int:

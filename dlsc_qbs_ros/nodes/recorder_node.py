@@ -2,162 +2,145 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from datetime import datetime
-import re
+from pathlib import Path
 import sys
+from typing import Sequence
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-from rclpy.subscription import Subscription
 
-from ..config import RecorderConfig
-from ..errors import ConfigError, RecordingError
-from ..io.bag import BagWriter
-from ..ros.diagnostics import ERROR, OK, publish_diagnostics, SequenceGaps, WARN
-from ..ros.logging import forward_logging
-from ..ros.parameters import load_config
-from ..ros.qos import adapted_to, qos_to_words
-from ..ros.runtime import run_node
-from ..ros.serialization import message_type
-from ..ros.stamps import received_ns
+from .arrival_clock import ArrivalClock
+from .recorder_arguments import parameters_from
+from .recorder_files import attachments_of, Repairs
+from .recorder_report import RecorderReport
+from .recorder_selection import TopicSelection
+from .recorder_services import offer_triggers
+from .recorder_text import show
+from .recorder_topics import RecorderTopics
+from ..config import Config
+from ..io.recording import Recording
+from ..ros.diagnostics import PERIOD_S
+from ..ros.loss_conversions import losses_to_msg
+from ..ros.managed_node import ManagedNode
+from ..ros.qos import create_publisher, OUTPUT, qos_to_words
+from ..ros.qos_overrides import load_qos_overrides
+from ..ros.runtime import run_ros, spin, StopRequest, without_ros_args
+from ..ros.serialization import serialize, type_name
 
+POLL_PERIOD_S = 0.02
 DISCOVERY_PERIOD_S = 0.1
-QUEUE_DEPTH = 1000
+LINE_PERIOD_S = 0.5
 
 
-class RecorderNode(Node):
-    """Subscribes to what matches as it appears and writes every message unread."""
+class RecorderNode(ManagedNode):
+    """Subscribes to what is chosen as it appears and writes every message unread."""
 
-    def __init__(self):
-        super().__init__('recorder')
-        forward_logging(self)
-        self._config = load_config(self, ('recorder',)).recorder
-        self._pattern = _compiled(self._config)
-        self._names = {self._resolved(topic) for topic in self._config.topics}
-        self._recorded: dict[str, Subscription] = {}
-        self._gaps: dict[str, SequenceGaps] = {}
-        self._refused: set[str] = set()
-        # Topics that had several publishers: each counts on its own, so gaps mean nothing.
-        self._shared: set[str] = set()
-        self._failure, self._not_written = '', 0
-        self._writer = BagWriter(
-            self._config.output or f'recording_{datetime.now():%Y_%m_%d-%H_%M_%S}')
-        self.create_timer(DISCOVERY_PERIOD_S, self._discover,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
-        publish_diagnostics(self, self._report)
-        self.get_logger().info(f'recording into {self._writer.directory}')
+    def __init__(self, **options):
+        super().__init__('recorder', ('recorder',), **options)
 
-    def destroy_node(self) -> None:
-        """Write what waits, finish the recording, then end; raise RecordingError if not whole."""
-        try:
-            for subscription in self._recorded.values():
-                self._drain(subscription)
-            self._writer.close()
-            self.get_logger().info(f'{self._writer.directory}: {self._writer.message_count} '
-                                   f'messages, {self._writer.byte_count} bytes')
-        finally:
-            super().destroy_node()
+    def configure(self, config: Config, undo: ExitStack) -> None:
+        """Open the recording."""
+        self._losses = create_publisher(self, DiagnosticArray, '~/losses', OUTPUT)
+        selection = TopicSelection(
+            config.recorder, self.resolve_topic_name, self._losses.topic_name)
+        overrides = load_qos_overrides(config.recorder.qos_profile_overrides_path)
+        attachments = attachments_of(config)
+        directory = Path(
+            config.recorder.output or f'recording_{datetime.now():%Y_%m_%d-%H_%M_%S}')
+        self._recording = Recording(directory, config.recorder, lambda: self._topics.missed())
+        self._topics = RecorderTopics(self, self._recording, selection, overrides)
+        self._arrivals = ArrivalClock(self.get_clock())
+        self._is_paused = config.recorder.start_paused
+        self._told_losses: dict[str, dict[str, object]] = {}
+        self._told_error = ''
+        repairs = Repairs(directory.parent)
+        self._report = RecorderReport(self._recording, self._topics, repairs)
+        undo.callback(repairs.stop)  # last: it may take long
+        undo.callback(self._finish)
+        for attachment in attachments:
+            self._recording.attach(*attachment)
+        offer_triggers(self, self._record, {
+            'pause': (lambda: self._pause(True), 'paused'),
+            'resume': (lambda: self._pause(False), 'resumed'),
+            'split': (self._recording.split, 'the next message begins a file'),
+            'snapshot': (self._recording.snapshot, 'written')})
+        self.get_logger().info(f'recording into {directory}')
 
-    def _resolved(self, topic: str) -> str:
-        try:
-            return self.resolve_topic_name(topic)
-        except RuntimeError as error:
-            raise ConfigError(f'recorder.topics: {topic!r} is no name of a topic') from error
+    def activate(self, undo: ExitStack) -> None:
+        """Listen to what there is, look for more, and tell how it goes."""
+        undo.callback(self._topics.leave)
+        undo.callback(self._record)
+        timers = [(POLL_PERIOD_S, self._record), (DISCOVERY_PERIOD_S, self._discover),
+                  (PERIOD_S, self._tell)]
+        if sys.stderr.isatty():
+            timers.append((LINE_PERIOD_S, lambda: show(self._report.line(self._is_paused))))
+        for period_s, callback in timers:
+            self.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _pause(self, is_paused: bool) -> None:
+        self._is_paused = is_paused
 
     def _discover(self) -> None:
-        """Subscribe to topics that match and are new, and where publishers changed their offer."""
-        if self._failure or self._is_waiting_for_clock():
-            return
-        for topic, types in self.get_topic_names_and_types():
-            if topic in self._refused or not self._matches(topic):
-                continue
-            offers = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
-            if len(offers) > 1:
-                self._shared.add(topic)
-            if offers:
-                try:
-                    self._record(topic, types, offers)
-                except RecordingError as error:
-                    self._refused.add(topic)
-                    self.get_logger().error(f'{topic} is not recorded: {error}')
+        if not self._is_waiting_for_clock():
+            self._topics.discover()
 
     def _is_waiting_for_clock(self) -> bool:
         """Tell whether log times would lie before the simulated clock's first tick."""
         return self.get_clock().ros_time_is_active and self.get_clock().now().nanoseconds == 0
 
-    def _matches(self, topic: str) -> bool:
-        if not self._names and self._pattern is None:
-            return not any(token.startswith('_') for token in topic.split('/'))  # hidden
-        return topic in self._names or (
-            self._pattern is not None and self._pattern.fullmatch(topic) is not None)
+    def _record(self) -> None:
+        """Write what has arrived."""
+        self._arrivals.tick()
+        for arrival in self._topics.take():
+            if not self._is_paused:
+                self._recording.write(
+                    arrival.topic, arrival.data, self._arrivals.time_ns(arrival),
+                    arrival.info['source_timestamp'],
+                    arrival.info['publication_sequence_number'] or 0)
 
-    def _record(self, topic: str, types: list[str], offers: list) -> None:
-        qos = adapted_to(offers, QUEUE_DEPTH)
-        subscription = self._recorded.get(topic)
-        if subscription is None:
-            if len(types) != 1:
-                raise RecordingError(f'it has {len(types)} types, {", ".join(types)}; expected 1')
-            msg_type = message_type(types[0])
-            self._writer.add_topic(topic, types[0], [qos_to_words(offer) for offer in offers])
-            self._gaps[topic] = SequenceGaps()
-        elif subscription.qos_profile == qos:
-            return
-        else:
-            msg_type = subscription.msg_type
-            self.destroy_subscription(subscription)
-        self._recorded[topic] = self.create_subscription(
-            msg_type, topic, lambda data, info: self._write(topic, data, info), qos, raw=True)
+    def _tell(self) -> None:
+        """Put new losses on a topic, in the recording too; tell once when the recording ended."""
+        status = self._recording.status()
+        losses = {topic: losses.values()
+                  for topic, losses in self._topics.losses(status).items() if losses.total}
+        if losses != self._told_losses:
+            now_ns = self.get_clock().now().nanoseconds
+            msg = losses_to_msg(now_ns, losses)
+            self._losses.publish(msg)
+            topic = self._losses.topic_name
+            if not self._told_losses:
+                self._recording.add_topic(topic, type_name(msg), [qos_to_words(OUTPUT)])
+            if self._recording.write(topic, serialize(msg), now_ns, now_ns):
+                self._told_losses = losses
+        if status.error and status.error != self._told_error:
+            consequence = 'nothing more is recorded: ' * (status.state == 'stopped')
+            self.get_logger().error(f'{consequence}{status.error}')
+        self._told_error = status.error
 
-    def _drain(self, subscription: Subscription) -> None:
-        """Write what has arrived and no callback has seen."""
-        with subscription.handle:
-            for _ in range(QUEUE_DEPTH):
-                taken = subscription.handle.take_message(subscription.msg_type, True)
-                if taken is None:
-                    return
-                subscription.callback(*taken)
-
-    def _write(self, topic: str, data: bytes, info: dict) -> None:
-        self._gaps[topic].observe(info['publication_sequence_number'])
-        clock = self.get_clock()
-        log_time_ns = clock.now().nanoseconds if clock.ros_time_is_active else received_ns(info)
+    def _finish(self) -> None:
+        """Finish the recording and print what it holds; raise RecordingError if not whole."""
+        self._tell()
         try:
-            self._writer.write(topic, data, log_time_ns, info['source_timestamp'])
-        except RecordingError as error:
-            self._failure = str(error)
-            self._not_written += 1
-            self.get_logger().error(f'nothing more is recorded: {error}', once=True)
+            self._recording.close()
+        finally:
+            print(self._report.summary(), flush=True)
 
-    def _report(self) -> tuple[bytes, str, dict[str, object]]:
-        lost = sum(gaps.lost for topic, gaps in self._gaps.items() if topic not in self._shared)
-        values = {'topics': len(self._recorded), 'messages': self._writer.message_count,
-                  'bytes': self._writer.byte_count, 'lost': lost,
-                  'not_written': self._not_written, 'output': str(self._writer.directory),
-                  'refused_topics': ' '.join(sorted(self._refused))}
-        if self._failure:
-            return ERROR, self._failure, values
-        awaited = self._awaited()
-        problem = f'waiting for {", ".join(awaited)}' if awaited else 'losses' if lost else ''
-        return WARN if problem or self._refused else OK, problem or 'recording', values
-
-    def _awaited(self) -> list[str]:
-        if self._is_waiting_for_clock():
-            return ['/clock']
-        if self._pattern is not None and not self._recorded:
-            return [f'topics that match {self._config.regex}']
-        return sorted(self._names - self._recorded.keys() - self._refused)
+    def report(self) -> tuple[bytes, str, dict[str, object]]:
+        """Say how it goes, what is missing and what is waited for."""
+        awaited = ['/clock'] if self._is_waiting_for_clock() else self._topics.awaited()
+        return self._report.diagnostics(awaited, self._is_paused)
 
 
-def _compiled(config: RecorderConfig) -> re.Pattern | None:
-    try:
-        return re.compile(config.regex) if config.regex else None
-    except re.error as error:
-        raise ConfigError(f'recorder.regex = {config.regex!r}: {error}') from error
+def main(args: Sequence[str] | None = None) -> int:
+    """Record until SIGINT or SIGTERM; return the exit code, 1 when a message was not written."""
+    argv = list(sys.argv[1:] if args is None else args)
+    parameters = parameters_from(without_ros_args(argv))
 
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; return the exit code."""
-    return run_node(RecorderNode, args)
+    def work(stop: StopRequest) -> None:
+        spin(RecorderNode(parameter_overrides=parameters), stop)
+    return run_ros(work, args)
 
 
 if __name__ == '__main__':

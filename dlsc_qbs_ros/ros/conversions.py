@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, isfinite
+from math import hypot, isfinite, sqrt
 import re
 from typing import Mapping
 
@@ -65,6 +65,24 @@ def pose_stamped_from_msg(msg: PoseStamped | PoseWithCovarianceStamped | Odometr
     """Return the planar pose; raise OdometryError when it is not finite."""
     pose = getattr(msg.pose, 'pose', msg.pose)
     return GroundTruthSample(stamp_to_ns(msg.header.stamp), _pose_from_msg(pose)[0])
+
+
+def initial_pose_from_msg(msg: PoseWithCovarianceStamped) -> tuple[Pose2, float, float]:
+    """
+    Return the planar pose, and its deviations in metres and radians.
+
+    Raises
+    ------
+    OdometryError
+        When the pose is not finite or a variance is none.
+
+    """
+    variances = [float(msg.pose.covariance[k]) for k in (0, 7, 35)]
+    if not all(0.0 <= variance <= UNMEASURED_VARIANCE for variance in variances):
+        raise OdometryError(f'variances of x, y and yaw {variances}: expected values in '
+                            f'[0, {UNMEASURED_VARIANCE:g}]')
+    x, y, yaw = variances
+    return _pose_from_msg(msg.pose.pose)[0], sqrt(max(x, y)), sqrt(yaw)
 
 
 def pose_to_msg(estimate: PoseEstimate, frame_id: str) -> PoseWithCovarianceStamped:

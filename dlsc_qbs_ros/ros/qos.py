@@ -11,7 +11,8 @@ from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile, ReliabilityPolicy)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
@@ -65,6 +66,11 @@ def adapted_to(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+
+
+def is_compatible(offered: QoSProfile, requested: QoSProfile) -> bool:
+    """Tell whether a subscription hears a publisher."""
+    return qos_check_compatible(offered, requested)[0] != QoSCompatibility.ERROR
 
 
 def qos_to_words(qos: QoSProfile) -> dict[str, Any]:

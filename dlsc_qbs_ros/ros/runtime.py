@@ -13,10 +13,10 @@ import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 import rclpy.utilities
 
+from .managed_node import ManagedNode
 from ..errors import ConfigError, DlscQbsError
 
 _WAKE_UP_S = 0.2
@@ -39,17 +39,17 @@ class StopRequest:
         self.received = True
 
 
-def run_node(node_class: type[Node], args: Sequence[str] | None = None) -> int:
+def run_node(node_class: type[ManagedNode], args: Sequence[str] | None = None) -> int:
     """
-    Make a node and spin it until SIGINT or SIGTERM; return the exit code of the process.
+    Make a node, start it and spin it until SIGINT or SIGTERM; return the process's exit code.
 
-    The node's `destroy_node` must give back all it holds and join its threads. An expected error
-    is one line on stderr and exit code 1; an argument that is not one of ROS's is exit code 2.
+    An expected error is one line on stderr and exit code 1; an argument that is not one of
+    ROS's is exit code 2.
     """
     def work(stop: StopRequest) -> None:
         argv = sys.argv[1:] if args is None else args
         _parser(node_class).parse_args(without_ros_args(argv))
-        _spin(node_class(), stop)
+        spin(node_class(), stop)
     return run_ros(work, args)
 
 
@@ -72,20 +72,21 @@ def without_ros_args(argv: Sequence[str]) -> list[str]:
     return rclpy.utilities.remove_ros_args(['', *argv])[1:]
 
 
-def _parser(node_class: type[Node]) -> argparse.ArgumentParser:
+def _parser(node_class: type[ManagedNode]) -> argparse.ArgumentParser:
     return argparse.ArgumentParser(
         description=node_class.__doc__,
         epilog='Parameters are given as usual: '
         '--ros-args -p section.name:=value --params-file FILE')
 
 
-def _spin(node: Node, stop: StopRequest) -> None:
-    """Run the node's callbacks, one at a time, until a stop is requested."""
+def spin(node: ManagedNode, stop: StopRequest) -> None:
+    """Start a node and run its callbacks, one at a time, until a stop is requested; destroy it."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     # Python handles a signal only when the executor comes back from waiting.
     node.create_timer(_WAKE_UP_S, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME))
     try:
+        node.start()
         while not stop.received:
             executor.spin_once()
     finally:

@@ -12,6 +12,7 @@ import time
 import pytest
 
 ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / 'test'))  # helpers of tests with and without ROS
 collect_ignore_glob = [] if find_spec('rclpy') else ['*']
 
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # read when a message package is imported
@@ -112,6 +113,31 @@ class Observer:
     def advertise(self, msg_type, topic, **qos):
         from rclpy.qos import QoSProfile
         return self.node.create_publisher(msg_type, topic, QoSProfile(**{'depth': 1000, **qos}))
+
+    def call(self, srv_type, service, **fields):
+        """Call a service; return its response."""
+        client = self.node.create_client(srv_type, service)
+        self.spin_until(client.service_is_ready)
+        future = client.call_async(srv_type.Request(**fields))
+        self.spin_until(future.done)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def transition(self, node, label):
+        """Ask a managed node for a step of its life; return whether it was taken."""
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+        return self.call(
+            ChangeState, f'{node}/change_state', transition=Transition(label=label)).success
+
+    def set_parameters(self, node, **values):
+        """Set parameters of a node, `section__name`, together; return why not, or nothing."""
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+        return self.call(
+            SetParametersAtomically, f'{node}/set_parameters_atomically', parameters=[
+                Parameter(name.replace('__', '.'), value=value).to_parameter_msg()
+                for name, value in values.items()]).result.reason
 
     def spin_until(self, condition, timeout_s=TIMEOUT_S):
         """Run callbacks until the condition holds; fail when it never does."""

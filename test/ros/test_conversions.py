@@ -8,7 +8,8 @@ from dlsc_qbs_ros.core.types import (
 from dlsc_qbs_ros.errors import ImageError, OdometryError, RecordingError
 from dlsc_qbs_ros.ros import conversions, map_conversions
 from dlsc_qbs_ros.ros.serialization import (
-    deserialize, header_stamp_ns, message_type, serialize, type_name)
+    begins_with_header, deserialize, header_stamp_ns, message_type, serialize, type_name,
+    with_header_stamp)
 from dlsc_qbs_ros.ros.stamps import ns_to_stamp, stamp_to_ns
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
@@ -173,19 +174,32 @@ def test_a_colour_image_is_no_view():
         conversions.view_from_msg(Image(encoding='rgb8'))
 
 
-def test_a_path_holds_every_experience():
-    experiences = np.array([[0.0, 1.0, 0.5], [2.0, 3.0, -3.0]])
-    msg = over_the_wire(map_conversions.path_to_msg(STAMP_NS, experiences, 'map'))
-    assert (msg.header.frame_id, stamp_to_ns(msg.header.stamp)) == ('map', STAMP_NS)
+def mapped(cdr):
+    """Return the message in CDR, which is as long as rclpy makes it."""
+    msg = deserialize(cdr, 'nav_msgs/msg/Path' if b'links' not in cdr
+                      else 'visualization_msgs/msg/MarkerArray')
+    assert len(serialize(msg)) == len(cdr)
+    return msg
+
+
+@pytest.mark.parametrize('frame_id', ['map', 'drone_1/map', ''])
+@pytest.mark.parametrize('n', [0, 1, 2, 5])
+def test_a_path_holds_every_experience(n, frame_id):
+    experiences = np.array([[0.0, 1.0, 0.5], [2.0, 3.0, -3.0], [4.0, 1 / 3, 0.0]] * 2)[:n]
+    msg = mapped(map_conversions.path_to_cdr(STAMP_NS, experiences, frame_id))
+    headers = [msg.header, *(pose.header for pose in msg.poses)]
+    assert {(header.frame_id, stamp_to_ns(header.stamp)) for header in headers} == {
+        (frame_id, STAMP_NS)}
     poses = [conversions.pose_stamped_from_msg(pose).pose for pose in msg.poses]
-    np.testing.assert_allclose(poses, experiences, atol=1e-12)
+    np.testing.assert_allclose(np.reshape(poses, (-1, 3)), experiences, atol=1e-12)
 
 
-def test_the_map_is_drawn_with_exact_points():
+@pytest.mark.parametrize('frame_id', ['map', 'drone_1/map', ''])
+def test_the_map_is_drawn_with_exact_points(frame_id):
     experiences = np.array([[0.1, 1.0, 0.5], [2.0, 1 / 3, -3.0], [4.0, 5.0, 0.0]])
     links, closures = np.array([[0, 1], [1, 2]]), np.array([[2, 0]])
-    msg = over_the_wire(map_conversions.experience_map_to_msg(
-        STAMP_NS, experiences, links, closures, 'map'))
+    msg = mapped(map_conversions.experience_map_to_cdr(
+        STAMP_NS, experiences, links, closures, frame_id))
     markers = {marker.ns: marker for marker in msg.markers}
     points = {name: [(point.x, point.y) for point in marker.points]
               for name, marker in markers.items()}
@@ -194,12 +208,12 @@ def test_the_map_is_drawn_with_exact_points():
     assert [markers[name].type for name in ('experiences', 'links', 'closures')] == [
         Marker.SPHERE_LIST, Marker.LINE_LIST, Marker.LINE_LIST]
     assert {(m.header.frame_id, stamp_to_ns(m.header.stamp)) for m in msg.markers} == {
-        ('map', STAMP_NS)}
+        (frame_id, STAMP_NS)}
 
 
 def test_a_map_without_closures_draws_none():
-    msg = map_conversions.experience_map_to_msg(
-        0, np.zeros((1, 3)), np.empty((0, 2), int), np.empty((0, 2), int), 'map')
+    msg = mapped(map_conversions.experience_map_to_cdr(
+        0, np.zeros((1, 3)), np.empty((0, 2), int), np.empty((0, 2), int), 'map'))
     assert [marker.action for marker in msg.markers] == [
         Marker.ADD, Marker.DELETE, Marker.DELETE]
 
@@ -219,9 +233,31 @@ def test_the_stamp_of_a_serialised_message_is_read_without_the_rest():
         View(STAMP_NS, np.zeros((2, 2), np.uint8))))) == STAMP_NS
 
 
-def test_data_too_short_for_a_stamp_is_refused():
+@pytest.mark.parametrize('stamp_ns', [0, 1, STAMP_NS, 2**31 * 1_000_000_000 - 1])
+def test_a_stamp_is_changed_and_nothing_else(stamp_ns):
+    msg = conversions.view_to_msg(View(STAMP_NS, np.zeros((2, 2), np.uint8)), 'camera')
+    data = with_header_stamp(serialize(msg), stamp_ns)
+    msg.header.stamp = ns_to_stamp(stamp_ns)
+    assert data == serialize(msg)
+
+
+def test_a_stamp_of_big_endian_data_is_changed():
+    data = bytes([0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 2, 7])
+    assert header_stamp_ns(data) == 1_000_000_002
+    assert with_header_stamp(data, 3_000_000_004) == bytes([0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 4, 7])
+
+
+@pytest.mark.parametrize('function', [header_stamp_ns, lambda data: with_header_stamp(data, 1)])
+def test_data_too_short_for_a_stamp_is_refused(function):
     with pytest.raises(RecordingError, match='11 bytes hold no header'):
-        header_stamp_ns(bytes(11))
+        function(bytes(11))
+
+
+@pytest.mark.parametrize('name, expected', [
+    ('nav_msgs/msg/Odometry', True), ('rosgraph_msgs/msg/Clock', False),
+    ('std_msgs/msg/Header', False), ('std_msgs/msg/Empty', False)])
+def test_which_types_begin_with_a_header(name, expected):
+    assert begins_with_header(name) is expected
 
 
 def test_a_type_is_found_by_its_name_and_named_by_itself():

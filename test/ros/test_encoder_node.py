@@ -212,6 +212,25 @@ def test_an_image_from_a_best_effort_camera_is_encoded(start, observer):
     observer.spin_until(encoded)
 
 
+def test_an_encoder_set_inactive_is_deaf_and_goes_on_with_what_it_has_learned(graph):
+    sent = frames(30)
+    graph.send(map(to_msg, sent[:10]))
+    graph.codes_of(10)
+    assert graph.observer.transition('encoder', 'deactivate')
+    graph.send(map(to_msg, sent[10:20]))
+    assert graph.observer.transition('encoder', 'activate')
+    graph.observer.spin_until(graph.images.get_subscription_count)
+    graph.send(map(to_msg, sent[20:]))
+
+    encoder = Encoder(Config())
+    expected = [encoder.process(frame).code for frame in sent[:10] + sent[20:]]
+    for code, e in zip(graph.codes_of(20), expected):
+        assert code.stamp_ns == e.stamp_ns
+        np.testing.assert_array_equal(code.values, e.values)
+    _, values = graph.report(lambda values: values.get('received') == '20')
+    assert values['lost'] == '0'
+
+
 def test_the_scalars_of_each_frame_are_those_of_the_pipeline(start, observer):
     learning = observer.collect(JointState, 'learning')
     graph, sent = Graph(start, observer), frames(30)

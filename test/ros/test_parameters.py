@@ -2,7 +2,7 @@
 
 from dlsc_qbs_ros.config import Config, PARAMETERS
 from dlsc_qbs_ros.errors import ConfigError
-from dlsc_qbs_ros.ros.parameters import load_config
+from dlsc_qbs_ros.ros.parameters import NodeParameters
 from dlsc_qbs_ros.ros.qos import adapted_to, create_subscription, IMAGE_INPUT, qos_to_words
 import pytest
 import rclpy
@@ -34,7 +34,17 @@ def make_node(domain_id):
 @pytest.fixture
 def load(make_node):
     """Give a function that loads the configuration of a node from ROS arguments."""
-    return lambda *ros_args: load_config(make_node(*ros_args), SECTIONS)
+    return lambda *ros_args: declare(make_node(*ros_args)).load()
+
+
+def declare(node, sections=SECTIONS, on_change=None):
+    return NodeParameters(node, sections, on_change)
+
+
+def set_parameters(node, values):
+    """Set parameters together; return why not, or nothing."""
+    return node.set_parameters_atomically(
+        [Parameter(name, value=value) for name, value in values.items()]).reason
 
 
 def test_a_node_without_arguments_has_the_defaults(load):
@@ -82,14 +92,14 @@ def test_parameters_of_ros_itself_pass(load, assignment):
 
 def test_a_node_declares_its_own_sections(make_node):
     node = make_node()
-    load_config(node, SECTIONS)
+    declare(node)
     declared = {name for name in PARAMETERS if node.has_parameter(name)}
     assert declared == {name for name in PARAMETERS if name.split('.')[0] in SECTIONS}
 
 
 def test_a_parameter_describes_itself(make_node):
     node = make_node('-p', 'view.width:=20')
-    load_config(node, ('view', 'encoder'))
+    declare(node, ('view', 'encoder'))
     width, share, mode = map(
         node.describe_parameter, ('view.width', 'view.crop_top', 'encoder.mode'))
     assert width.description == 'width of the view [px]'
@@ -100,12 +110,60 @@ def test_a_parameter_describes_itself(make_node):
     assert node.get_parameter('view.width').value == 20
 
 
-def test_a_parameter_does_not_change_in_flight(make_node):
+def test_what_was_given_wrong_is_put_right_before_it_is_loaded(make_node):
+    node = make_node('-p', 'view.width:=1', '-p', 'recorder.topics:=[/a]')
+    parameters = declare(node)
+    with pytest.raises(ConfigError, match='view.width = 1'):
+        parameters.load()
+    assert set_parameters(node, {'view.width': 20}) == ''
+    assert parameters.load() == Config().override(
+        {'view.width': 20, 'recorder.topics': ('/a',)})
+
+
+def test_before_it_is_loaded_a_value_is_checked_by_itself_then_all_together(make_node):
     node = make_node()
-    load_config(node, SECTIONS)
-    result, = node.set_parameters([Parameter('view.width', value=20)])
-    assert not result.successful
+    parameters = declare(node)
+    assert set_parameters(node, {'view.crop_top': 0.95})
+    assert set_parameters(node, {'view.crop_top': 0.5}) == ''
+    assert set_parameters(node, {'view.crop_bottom': 0.5}) == ''
+    with pytest.raises(ConfigError, match='view.crop_top . view.crop_bottom = 1'):
+        parameters.load()
+
+
+def test_once_loaded_only_live_parameters_change(make_node):
+    node, configs = make_node(), []
+    parameters = declare(node, ('view', 'ratslam', 'odometry'), configs.append)
+    parameters.load()
+    assert set_parameters(node, {'view.width': 20}) == (
+        'view.width cannot change while the node is configured: codes made with another could '
+        'not be compared; deactivate and clean up first')
     assert node.get_parameter('view.width').value == Config().view.width
+    changes = {'ratslam.threshold': 0.9, 'odometry.yaw_noise': 0.1}
+    assert set_parameters(node, changes) == ''
+    assert configs == [Config().override(changes)]  # once for both
+
+
+def test_parameters_set_together_change_all_or_none(make_node):
+    node, configs = make_node(), []
+    declare(node, ('view', 'ratslam'), configs.append).load()
+    assert set_parameters(node, {'ratslam.threshold': 0.9, 'view.width': 20})
+    assert node.get_parameter('ratslam.threshold').value == Config().ratslam.threshold
+    assert configs == []
+
+
+def test_a_value_set_to_what_it_is_changes_nothing_and_is_accepted(make_node):
+    node = make_node()
+    declare(node, on_change=lambda config: None).load()
+    assert set_parameters(node, {'view.width': Config().view.width}) == ''
+
+
+def test_once_released_all_parameters_change_again(make_node):
+    node = make_node()
+    parameters = declare(node)
+    parameters.load()
+    parameters.release()
+    assert set_parameters(node, {'view.width': 20}) == ''
+    assert parameters.load().view.width == 20
 
 
 def test_the_quality_of_service_may_be_overridden(make_node):

@@ -106,6 +106,7 @@ def test_what_waits_when_the_end_comes_is_recorded(domain_id, observer, tmp_path
         '-p', "recorder.topics:=['/name']"])
     try:
         recorder = RecorderNode()
+        recorder.start()
         executor = SingleThreadedExecutor()
         executor.add_node(recorder)
         observer.spin_until(
@@ -199,11 +200,32 @@ def test_a_full_disk_ends_the_recording_not_the_node(recorder, observer, tmp_pat
         publisher.publish(String(data=100_000 * 'x'))
     observer.spin_until(lambda: reports and level_of(reports) == DiagnosticStatus.ERROR)
     observer.spin_until(lambda: int(status_of(reports)[1]['not_written']) > 1)
-    assert status_of(reports)[0] == f'{tmp_path}/bag/bag_0.mcap: cannot be written: File too large'
+    assert status_of(reports)[0].startswith(
+        f'{tmp_path}/bag/bag_0.mcap: cannot be written: File too large')
     assert process.stop() == 1
     assert 'Traceback' not in process.text()
     assert process.text().count('nothing more is recorded') == 1
     assert len(names_in(tmp_path / 'bag')) > 10
+
+
+def test_what_a_stopped_recorder_could_not_be_sent_is_lost_and_told(
+        recorder, observer, tmp_path):
+    publisher = observer.advertise(String, '/name', depth=1)
+    process = recorder(topics="['/name']")
+    reports = record(observer, {publisher: [String()]})
+    process.send(signal.SIGSTOP)
+    for _ in range(N):
+        publisher.publish(String(data=60_000 * 'x'))
+    process.send(signal.SIGCONT)
+    observer.spin_until(lambda: int(status_of(reports)[1]['lost']) > 0)
+    assert publisher.wait_for_all_acked(Duration(seconds=30))
+    assert process.stop() == 0
+    messages = list(read_bag(tmp_path / 'bag'))
+    told = deserialize(messages[-1].data, 'diagnostic_msgs/msg/DiagnosticArray').status[0]
+    n_lost = int({value.key: value.value for value in told.values}['gaps'])
+    assert [m.topic for m in messages].count('/name') + n_lost == 1 + N
+    assert f'{n_lost}  /name\n' in process.text()  # the summary
+    assert process.text().endswith(f', {n_lost} lost\n')
 
 
 def test_what_is_waited_for_is_named(recorder, observer):
