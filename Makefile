@@ -13,8 +13,10 @@ PYTEST := python3 -m pytest -n 2 --dist loadfile
 
 .PHONY: demo test build bench table reproduce clean lock
 
+# ODOMETRY=mavlink: from a simulated autopilot over UDP, in real time.
+ODOMETRY ?= nav_msgs
 demo: build
-	$(RUN) python3 -m dlsc_qbs_ros.cli.demo --out demo_output
+	$(RUN) python3 -m dlsc_qbs_ros.cli.demo --odometry $(ODOMETRY) --out demo_output
 
 test: build
 	$(RUN) $(PYTEST)

@@ -14,25 +14,28 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from typing import Iterator, NamedTuple, Sequence
 
 import numpy as np
 import yaml
 
 from .common import run_tool
-from ..core.types import GroundTruthSample
 from ..errors import DlscQbsError
 from ..evaluation.alignment import align
 from ..evaluation.association import associate
 from ..evaluation.metrics import mae_l
 from ..io.bag import read_bag
-from ..io.flight import read_flight
 
 INSTALLED = Path('install', 'dlsc_qbs_ros')
 PROFILE = INSTALLED / 'share' / 'dlsc_qbs_ros' / 'config' / 'replay.yaml'
 NODES = ('recorder', 'encoder', 'ratslam')
 FLIGHT_S = 150
+FLIGHT = ('--flight', 1, '--seed', 0, '--seconds', FLIGHT_S)
 RATE = 5
+ODOMETRY_RATE_HZ = 50.0
+# Over a link everything flies in real time, once all are up.
+START_UP_S = 15
 TOOL_TIMEOUT_S = 240
 STOP_TIMEOUT_S = 20
 
@@ -41,10 +44,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the demonstration; print expected errors as one line and return the exit code."""
     parser = argparse.ArgumentParser(prog='demo', description=__doc__)
     parser.add_argument('--out', metavar='DIR', type=Path, required=True)
-    return run_tool('demo', _demonstrate, parser.parse_args(argv).out)
+    parser.add_argument('--odometry', choices=('nav_msgs', 'mavlink'), default='nav_msgs',
+                        help='how it comes: on a topic, at five times the speed, or over UDP '
+                        'from a simulated autopilot, in real time (default: %(default)s)')
+    options = parser.parse_args(argv)
+    return run_tool('demo', lambda _: _demonstrate(options.out, options.odometry), options)
 
 
-def _demonstrate(out: Path) -> None:
+def _demonstrate(out: Path, odometry: str) -> None:
     if not INSTALLED.is_dir():
         raise DlscQbsError(f'{INSTALLED} is missing: run `make build` first')
     for number in (signal.SIGINT, signal.SIGTERM):  # both unwind, and leave no node behind
@@ -56,18 +63,37 @@ def _demonstrate(out: Path) -> None:
         ROS_DOMAIN_ID=str(_unused_domain()), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
 
     _say(f'1/4 simulating {FLIGHT_S} s of flight between a wall and shelves that look alike')
-    _run_tool('simulate', '--flight', 1, '--seed', 0, '--seconds', FLIGHT_S,
-              '--encoding', 'mono8', '--out', flight)
-    _say(f'2/4 playing it {RATE} times as fast through encoder, ratslam and recorder')
+    _run_tool('simulate', *FLIGHT, '--encoding', 'mono8', '--out', flight)
+    link = f'127.0.0.1:{_unused_port()}' if odometry == 'mavlink' else None
     with ExitStack() as stack:
-        nodes = {name: stack.enter_context(_node(out, name, recording)) for name in NODES}
-        _run_tool('replay', flight, '--rate', RATE)
+        nodes = {name: stack.enter_context(_node(out, name, recording, link)) for name in NODES}
+        if link is None:
+            _say(f'2/4 playing it {RATE} times as fast through encoder, ratslam and recorder')
+            _run_tool('replay', flight, '--rate', RATE)
+        else:
+            _say('2/4 flying it through encoder, ratslam and recorder, with the odometry of a '
+                 f'simulated autopilot on udp:{link}')
+            _fly(out, flight, link)
         _say('3/4 evaluating the same flight without ROS, while the nodes finish')
         _run_tool('evaluate', flight, '--config', PROFILE, '--out', out)
         _say('4/4 stopping the nodes and closing the recording')
         for name in reversed(NODES):
             _stop(name, nodes[name])
     print(_summary(out, flight, recording))
+
+
+def _fly(out: Path, flight: Path, link: str) -> None:
+    """Play the images as if they were taken now, while an autopilot flies the same flight."""
+    start_at = ('--start-at', time.time() + START_UP_S)
+    autopilot = ('simulate', *FLIGHT, '--mavlink', f'udpout:{link}', *start_at)
+    with _process(out / 'autopilot.log', *autopilot) as process:
+        _run_tool('replay', flight, *start_at, '--topics', '/camera/image_raw', '/ground_truth')
+        try:
+            code = process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired as error:
+            raise DlscQbsError(f'the autopilot flew on for {STOP_TIMEOUT_S} s') from error
+    if code != 0:
+        raise DlscQbsError(f'the autopilot ended with exit code {code}: see its log')
 
 
 def _say(text: str) -> None:
@@ -86,33 +112,50 @@ def _unused_domain() -> int:
     raise DlscQbsError('every ROS domain from 1 to 100 is in use on this machine')
 
 
-def _executable(name: str) -> Path:
-    return INSTALLED / 'lib' / 'dlsc_qbs_ros' / name
+def _unused_port() -> int:
+    """Return a UDP port that nobody on this machine holds."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(('127.0.0.1', 0))
+        return probe.getsockname()[1]
+
+
+def _command(name: str, *arguments: object) -> list[str]:
+    return [str(INSTALLED / 'lib' / 'dlsc_qbs_ros' / name), *map(str, arguments)]
 
 
 def _run_tool(name: str, *arguments: object) -> None:
     """Run a tool to its end, in bounded time."""
     try:
-        subprocess.run([_executable(name), *map(str, arguments)], check=True,
-                       stdin=subprocess.DEVNULL, timeout=TOOL_TIMEOUT_S)
+        subprocess.run(_command(name, *arguments), check=True, stdin=subprocess.DEVNULL,
+                       timeout=TOOL_TIMEOUT_S)
     except subprocess.CalledProcessError as error:
         raise DlscQbsError(f'{name} failed with exit code {error.returncode}') from error
     except subprocess.TimeoutExpired as error:
         raise DlscQbsError(f'{name} did not end within {TOOL_TIMEOUT_S} s') from error
 
 
+def _node(out: Path, name: str, recording: Path, link: str | None):
+    """Start a node; `link` is where it listens for an autopilot, if it does."""
+    if name == 'recorder':
+        # On the flight's clock it would wait for the first tick and miss what comes with it.
+        parameters = [f'recorder.output:={recording}']
+    elif link is None:
+        parameters = ['use_sim_time:=true']
+    else:
+        parameters = ['odometry.source:=mavlink', f'mavlink.connection:=udpin:{link}',
+                      f'mavlink.rate_hz:={ODOMETRY_RATE_HZ}']
+    return _process(
+        out / f'{name}.log', name, '--ros-args', '-r', 'image:=/camera/image_raw',
+        '-r', 'odom:=/odom', '--params-file', PROFILE,
+        *(part for parameter in parameters for part in ('-p', parameter)))
+
+
 @contextmanager
-def _node(out: Path, name: str, recording: Path) -> Iterator[subprocess.Popen]:
-    """Start a node that writes its log beside the results; leave none behind."""
-    command = [
-        _executable(name), '--ros-args', '-r', 'image:=/camera/image_raw', '-r', 'odom:=/odom',
-        '--params-file', PROFILE]
-    # On the flight's clock the recorder would wait for its first tick and miss what comes with it.
-    command += ['-p', f'recorder.output:={recording}' if name == 'recorder'
-                else 'use_sim_time:=true']
-    with open(out / f'{name}.log', 'w') as log:
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
+def _process(log: Path, name: str, *arguments: object) -> Iterator[subprocess.Popen]:
+    """Start a process that writes its log beside the results; leave none behind."""
+    with open(log, 'w') as stream:
+        process = subprocess.Popen(_command(name, *arguments), stdin=subprocess.DEVNULL,
+                                   stdout=stream, stderr=subprocess.STDOUT)
     try:
         yield process
     finally:
@@ -145,7 +188,7 @@ def _summary(out: Path, flight: Path, recording: Path) -> str:
     if not codes or not poses:
         raise DlscQbsError(f'{recording} holds {codes} codes and {poses} poses: see the node logs')
     row = json.loads((out / 'metrics.json').read_text())['rows'][0]
-    live = _live_result(flight, recording)
+    live = _live_result(recording)
     picture, = out.glob('*.png')
     return (
         f'\nDone: {FLIGHT_S} s of simulated flight went through the live nodes:\n'
@@ -168,19 +211,22 @@ class LiveResult(NamedTuple):
     closures: int
 
 
-def _live_result(flight: Path, recording: Path) -> LiveResult:
+def _live_result(recording: Path) -> LiveResult:
+    from ..ros.conversions import pose_stamped_from_msg
     from ..ros.serialization import deserialize
-    from ..ros.stamps import stamp_to_ns
-    stamps_ns, poses, markers = [], [], []
-    for message in read_bag(recording, ('/pose', '/experience_map')):
+    stamps_ns, poses, truth, markers = [], [], [], []
+    for message in read_bag(recording, ('/pose', '/ground_truth', '/experience_map')):
         msg = deserialize(message.data, message.type_name)
-        if message.topic == '/pose':
-            stamps_ns.append(stamp_to_ns(msg.header.stamp))
-            poses.append((msg.pose.pose.position.x, msg.pose.pose.position.y))
-        else:
+        if message.topic == '/experience_map':
             markers = msg.markers
-    truth_m = associate(np.array(stamps_ns), [
-        event for event in read_flight(flight) if isinstance(event, GroundTruthSample)])[:, :2]
+            continue
+        sample = pose_stamped_from_msg(msg)
+        if message.topic == '/ground_truth':
+            truth.append(sample)
+        else:
+            stamps_ns.append(sample.stamp_ns)
+            poses.append(sample.pose[:2])
+    truth_m = associate(np.array(stamps_ns), truth)[:, :2]
     used = np.isfinite(truth_m).all(axis=1)
     truth_m, poses_m = truth_m[used], np.array(poses)[used]
     experiences, _, closures = (len(marker.points) for marker in markers)
