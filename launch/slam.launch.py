@@ -11,19 +11,33 @@ ARGUMENTS = (
     ('use_sim_time', 'false', 'follow /clock, as a replayed flight needs'),
     ('image_topic', 'camera/image_raw', 'topic of the camera'),
     ('odom_topic', 'odom', 'topic of the odometry'),
+    ('mavlink', '', 'address of a MAVLink link to take odometry from, in place of the topic'),
+    ('map_file', '', 'map to go on in and to save'),
+    ('mode', '', 'mapping or localization'),
 )
+# Where an argument is given, what parameters it sets.
+PARAMETERS = {
+    'mavlink': lambda address: {'odometry.source': 'mavlink', 'mavlink.connection': address},
+    'map_file': lambda path: {'ratslam.map_file': path},
+    'mode': lambda mode: {'ratslam.mode': mode},
+}
 
 
 def start_nodes(context):
-    """Return the nodes; a profile is only passed where one was named."""
-    config = LaunchConfiguration('config').perform(context)
-    use_sim_time = LaunchConfiguration('use_sim_time').perform(context).lower() == 'true'
-    parameters = [config] if config else []
+    """Return the nodes; of the profile and the parameters only what was given is passed."""
+    def given(name):
+        return LaunchConfiguration(name).perform(context)
+
+    overrides = {'use_sim_time': given('use_sim_time').lower() == 'true'}
+    for name, parameters_of in PARAMETERS.items():
+        if given(name):
+            overrides.update(parameters_of(given(name)))
+    parameters = [given('config')] if given('config') else []
     return [
         Node(
             package='dlsc_qbs_ros', executable=name, name=name, output='screen',
             namespace=LaunchConfiguration('namespace'),
-            parameters=parameters + [{'use_sim_time': use_sim_time}],
+            parameters=[*parameters, overrides],
             remappings=[('image', LaunchConfiguration('image_topic')),
                         ('odom', LaunchConfiguration('odom_topic'))])
         for name in ('encoder', 'ratslam', 'recorder')]
