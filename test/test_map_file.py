@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.errors import MapError
-from dlsc_qbs_ros.io.map_file import FORMAT, read_map, VERSION, write_map
+from dlsc_qbs_ros.io.map_file import FORMAT, is_there, read_map, VERSION, write_map
 
 CONFIG = {'view.width': 43, 'ratslam.map_frame': 'map', 'recorder.topics': []}
 ARRAYS = {'poses': np.arange(6.0).reshape(2, 3), 'views': np.zeros((2, 4, 5), np.uint8),
@@ -79,6 +79,22 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 
 
 # Refused
+
+@pytest.mark.parametrize('name, said', [
+    ('~nobody-of-that-name/hall.map', 'home directory'), ('n' * 300, 'File name too long')])
+def test_a_path_that_can_name_nothing_is_refused_in_words(tmp_path, name, said):
+    path = name if name.startswith('~') else tmp_path / name
+    for use in (is_there, read_map, lambda path: write_map(path, CONFIG, ARRAYS)):
+        with pytest.raises(MapError, match=said):
+            use(path)
+
+
+def test_a_folder_is_not_written_over(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(MapError, match='cannot be written'):
+        write_map('.', CONFIG, ARRAYS)
+    assert not [*tmp_path.iterdir()]
+
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(MapError, match='hall.map: no such file'):

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import lru_cache
 from math import inf
 
-from loop_flight import CONFIG, events, LAP_S, START_NS, stamp_ns
+from loop_flight import CONFIG, events, LAP_S, LateExecutor, START_NS, stamp_ns
 import numpy as np
 import pytest
 
@@ -44,7 +44,7 @@ def later(flown, seconds, frame=None, segment=0):
     return [shifted(event) for event in flown]
 
 
-def fly(ratslam, flown):
+def fly(ratslam, flown, end_s=inf):
     """Feed a flight; return the poses that came out."""
     add = {OdometrySample: ratslam.add_odometry, Dictionary: ratslam.add_dictionary,
            View: ratslam.add_view, Code: ratslam.add_code}
@@ -52,7 +52,7 @@ def fly(ratslam, flown):
     for event in flown:
         add[type(event)](event)
         poses += ratslam.advance(0.0)
-    return poses + ratslam.advance(inf)
+    return poses + ratslam.advance(end_s)
 
 
 def first_part():
@@ -234,9 +234,37 @@ def test_a_map_that_grows_again_is_linked_to_where_the_robot_is():
     assert set(ratslam.mapper.journey.pieces.of()) == {0}
 
 
+def test_where_a_map_grows_again_is_no_part_of_the_matches_before_or_after():
+    """So it stays when those turn out to be wrong, and the way on with it."""
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, first_part())
+    n = len(ratslam.mapper.visits.run.values)
+    ratslam.keep_map(True)
+    fly(ratslam, second_part()[:60])
+    ratslam.keep_map(False)
+    fly(ratslam, second_part()[60:])
+    runs = ratslam.mapper.visits.run.values
+    assert len(runs) > n + 1
+    assert np.count_nonzero(runs == runs[n]) == 1
+
+
 def test_without_a_map_there_is_nothing_to_be_localised_in():
     with pytest.raises(MapError, match='there is no map yet'):
         RatSlam(CONFIG).keep_map(True)
+
+
+def test_poses_do_not_wait_for_the_views_of_a_loaded_map_to_be_encoded():
+    executor = LateExecutor()
+    ratslam = RatSlam(CONFIG, executor)
+    ratslam.restore(saved())
+    flown = later(second_part(), 1000.0)
+    n = sum(isinstance(event, OdometrySample) for event in flown[:100])
+    assert len(fly(ratslam, flown[:100], end_s=0.0)) == n
+    assert ratslam.counts['poses_ahead_of_codes'] == ratslam.counts['codes_used'] == 0
+    executor.complete()
+    fly(ratslam, flown[100:110], end_s=0.0)
+    assert ratslam.counts['codes_used'] > 0
+    assert ratslam.counts['codes_without_view'] == 0
 
 
 # Paused, forgotten, told
@@ -252,6 +280,27 @@ def test_while_paused_the_map_stands_still_and_the_pose_follows_the_odometry():
     assert between(before.pose, after.pose) == pytest.approx(
         between(before.odometry.pose, after.odometry.pose), abs=1e-6)
     assert after.position_sigma_m > before.position_sigma_m
+
+
+@pytest.mark.parametrize('is_first', [True, False])
+def test_paused_without_a_map_the_pose_is_that_of_the_odometry(is_first):
+    ratslam = RatSlam(CONFIG)
+    if not is_first:
+        fly(ratslam, first_part())
+        ratslam.reset()
+    ratslam.is_paused = True
+    flown = later(flight(), 1000.0)
+    broken = [replace(event, segment=1) if isinstance(event, OdometrySample) else event
+              for event in later(flight(), 2000.0)]
+    poses = fly(ratslam, flown)
+    assert [tuple(pose.pose) for pose in poses] == [
+        pytest.approx(tuple(pose.odometry.pose), abs=1e-9) for pose in poses]
+    fly(ratslam, broken[:200])
+    assert len(ratslam.mapper.map) == 0
+    ratslam.is_paused = False
+    fly(ratslam, broken[200:400])
+    assert len(ratslam.mapper.map) > 0
+    assert ratslam.is_localised
 
 
 def test_after_a_reset_another_map_begins_with_the_same_dictionary():
@@ -286,7 +335,53 @@ def test_the_first_pose_of_all_may_be_told():
     assert ratslam.mapper.map.pose(0) == pytest.approx(Pose2(5.0, 6.0, 0.5))
 
 
+def test_the_first_pose_goes_along_with_the_odometry_until_the_first_code():
+    ratslam = RatSlam(CONFIG)
+    start, *flown = [
+        event for event in flight() if event.stamp_ns < stamp_ns(3.05)
+        and (isinstance(event, (OdometrySample, Dictionary)) or event.stamp_ns > stamp_ns(3.0))]
+    fly(ratslam, [start])
+    told = Pose2(5.0, 6.0, 0.5)
+    ratslam.put(told, 0.4, 0.2)
+    fly(ratslam, flown)
+    assert len(ratslam.mapper.map) == 1
+    assert ratslam.mapper.map.pose(0) == pytest.approx(
+        compose(told, between(start.pose, ratslam.mapper.odometry.pose)))
+
+
+def test_a_pose_told_before_the_first_odometry_in_a_loaded_map_is_where_that_begins():
+    ratslam = restored()
+    told = ratslam.mapper.map.pose(5)
+    ratslam.put(told, 0.4, 0.2)
+    first, *_ = fly(ratslam, later(second_part(), 1000.0, ELSEWHERE)[:40])
+    assert first.pose == pytest.approx(told)
+    assert 0.4 <= first.position_sigma_m < 0.6
+    assert ratslam.is_localised
+
+
+def test_a_lost_robot_that_is_told_its_pose_is_put_in_the_map_and_not_in_what_it_mapped_since():
+    ratslam = RatSlam(CONFIG.override({
+        'ratslam.threshold': 1.0, 'ratslam.tracking_threshold': 1.0}))
+    fly(ratslam, first_part())
+    fly(ratslam, [replace(event, segment=1) if isinstance(event, OdometrySample) else event
+                  for event in second_part()])
+    assert not ratslam.is_localised
+    ratslam.put(ratslam.mapper.map.pose(len(ratslam.mapper.map) - 1), 0.4, 0.2)
+    assert ratslam.is_localised
+
+
 # Refused
+
+def test_a_map_in_which_one_view_was_met_over_and_over_is_a_map():
+    config = CONFIG.override({'ratslam.backend': 'published'})
+    ratslam = RatSlam(config)
+    fly(ratslam, first_part())
+    code = [event for event in first_part() if isinstance(event, Code)][-1].values
+    for _ in range(150):
+        ratslam.mapper.update(ratslam.mapper.odometry, code)
+    assert ratslam.state()['view_cell_decays'].max() > 100.0
+    RatSlam(config).restore(ratslam.state())
+
 
 def changed(name, change):
     array = np.array(saved()[name])

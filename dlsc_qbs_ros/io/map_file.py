@@ -37,8 +37,8 @@ def write_map(path: Path, config: Mapping[str, Any], arrays: Mapping[str, np.nda
         When it cannot be written.
 
     """
-    path = Path(path).expanduser()
-    draft = path.with_name(f'{path.name}.part')
+    path = _expanded(path)
+    draft = Path(f'{path}.part')
     try:
         with open(draft, 'wb') as stream:
             _write_archive(stream, config, arrays)
@@ -67,10 +67,10 @@ def read_map(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         When the file is missing, cut, damaged, foreign or of a newer version.
 
     """
-    path = Path(path).expanduser()
-    if not path.is_file():
-        raise MapError(f'{path}: no such file')
+    path = _expanded(path)
     try:
+        if not path.is_file():
+            raise MapError('no such file')
         with zipfile.ZipFile(path) as archive:
             config = _read_header(archive)
             return config, {
@@ -82,6 +82,22 @@ def read_map(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         raise MapError(f'{path}: cannot be read: {error.strerror}') from error
     except Exception as error:  # zipfile and numpy raise whatever a damaged byte leads them to
         raise MapError(f'{path}: cut, damaged or no map: {error}') from error
+
+
+def is_there(path: Path) -> bool:
+    """Return whether anything has that path; raise MapError where that is not to be seen."""
+    path = _expanded(path)
+    try:
+        return path.exists()
+    except OSError as error:
+        raise MapError(f'{path}: cannot be read: {error.strerror}') from error
+
+
+def _expanded(path: Path) -> Path:
+    try:
+        return Path(path).expanduser()
+    except RuntimeError as error:  # the home of a user there is none of
+        raise MapError(f'{path}: {error}') from error
 
 
 def _write_archive(stream, config: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:

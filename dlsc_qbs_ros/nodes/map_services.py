@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 from typing import Callable
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -14,7 +13,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ..config import Config
 from ..errors import DlscQbsError, MapError, OdometryError
-from ..io.map_file import read_map, write_map
+from ..io.map_file import is_there, read_map, write_map
 from ..pipeline.map_state import refuse_other, shaping
 from ..pipeline.ratslam import RatSlam
 from ..ros.conversions import initial_pose_from_msg
@@ -28,11 +27,16 @@ class MapServices:
     Files are written by a thread, from a copy of the map that takes no time: updates go on.
     """
 
+    # What a timer that does not run is made with.
+    IDLE_S = 1.0
+
     def __init__(self, node: ManagedNode, ratslam: RatSlam, config: Config):
         self._node, self._ratslam, self._config = node, ratslam, config
         self._writer = ThreadPoolExecutor(1, thread_name_prefix='map_file')
         self._writing: Future | None = None
         self._saved_codes = 0
+        # There before a thread counts: nobody who goes through the counts sees them grow.
+        ratslam.counts['maps_not_saved'] += 0
         self._begin()
         for service, serve in (
                 ('load_map', self._load), ('reset', self._reset),
@@ -44,18 +48,21 @@ class MapServices:
         node.create_service(SetBool, '~/set_localization_mode', self._serve_mode)
         node.create_subscription(
             PoseWithCovarianceStamped, 'initialpose', self._on_initial_pose, 1)
-        self._clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = None
+        # One for all intervals: what is made while active would go with that.
+        self._timer = node.create_timer(
+            self.IDLE_S, self._autosave, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer.cancel()
         self.reconfigure(config)
 
     def reconfigure(self, config: Config) -> None:
         """Save to another file or at another interval."""
         self._config = config
-        if self._timer is not None:
-            self._node.destroy_timer(self._timer)
-        period_s = config.ratslam.autosave_s
-        self._timer = self._node.create_timer(
-            period_s, self._autosave, clock=self._clock) if period_s else None
+        period_ns = int(config.ratslam.autosave_s * 1e9)
+        if not period_ns:
+            self._timer.cancel()
+        elif self._timer.is_canceled() or self._timer.timer_period_ns != period_ns:
+            self._timer.timer_period_ns = period_ns
+            self._timer.reset()
 
     def stop(self) -> None:
         """Save what is new, if the map is to be saved at all, and end."""
@@ -77,7 +84,7 @@ class MapServices:
 
     def _has_file(self) -> bool:
         path = self._config.ratslam.map_file
-        return bool(path) and Path(path).expanduser().exists()
+        return bool(path) and is_there(path)
 
     def _path(self) -> str:
         if not self._config.ratslam.map_file:
@@ -103,9 +110,13 @@ class MapServices:
     def _autosave(self) -> None:
         """Save a map that has grown since it last was saved, unless that is still under way."""
         if (self._ratslam.counts['codes_used'] == self._saved_codes
-                or not self._ratslam.mapper.is_mapping
+                or not self._ratslam.mapper.is_mapping or self._ratslam.mapper.place is None
                 or self._writing is not None and not self._writing.done()):
             return
+        self._save_aside()
+
+    def _save_aside(self) -> None:
+        """Save the map, and say so if that goes wrong."""
         try:
             self._writing = self._save()
         except MapError as error:
@@ -133,7 +144,10 @@ class MapServices:
         return _trigger(lambda: self._keep(request.data))(request, response)
 
     def _keep(self, is_kept: bool) -> str:
+        has_grown = self._ratslam.mapper.is_mapping
         self._ratslam.keep_map(is_kept)
+        if is_kept and has_grown and self._config.ratslam.autosave_s:
+            self._save_aside()  # the last growth that there is to save
         return self._ratslam.activity
 
     def _reset(self) -> str:

@@ -67,6 +67,12 @@ class CodeBook:
         """Return the dictionary that came last, if any."""
         return [coder.dictionary for coder in [*self._known.values()][-1:]]
 
+    @property
+    def is_restoring(self) -> bool:
+        """Whether no code can be used before views that were restored are encoded."""
+        return (self._next is not None and not self._next.waiting_ns
+                and not self._next.cells.done())
+
     def restore(self, views: np.ndarray, dictionaries: list[Dictionary]) -> None:
         """
         Begin, where nothing was stored yet, with views (n, height, width), uint8.

@@ -32,6 +32,8 @@ class Follower:
         self._last = mapper.odometry
         self._drift = copy(mapper.drift)
         self._may_bridge = mapper.odometry is not None
+        # A pose, and its deviations, that was told before there was any odometry to go with it.
+        self._told: tuple[Pose2, float, float] | None = None
         self._map_T_odom = mapper.map_T_odom() if self._may_bridge else IDENTITY
 
     def reconfigure(self, config: Config) -> None:
@@ -48,15 +50,17 @@ class Follower:
 
     def put(self, pose: Pose2, position_sigma_m: float, yaw_sigma_rad: float) -> None:
         """Take the robot to be at a pose in the map, known this well, at the newest odometry."""
+        if self._may_bridge:
+            self._told = pose, position_sigma_m, yaw_sigma_rad
+            return
         last, mapper = self._last, self._mapper
-        if last is not None and mapper.odometry is not None:
-            if last.segment != mapper.odometry.segment:
+        if last is None:
+            mapper.put(pose, position_sigma_m, yaw_sigma_rad)
+        else:
+            if mapper.odometry is None or last.segment != mapper.odometry.segment:
                 mapper.carry(last)
             mapper.put(compose(pose, between(last.pose, mapper.odometry.pose)),
                        position_sigma_m, yaw_sigma_rad)
-        else:
-            mapper.put(pose, position_sigma_m, yaw_sigma_rad)
-        if last is not None:
             self._map_T_odom = compose(pose, invert(last.pose))
         self._drift.anchor(position_sigma_m, yaw_sigma_rad)
 
@@ -65,6 +69,10 @@ class Follower:
         if not self._may_bridge:
             return
         self._may_bridge, last = False, self._mapper.odometry
+        if self._told is not None:
+            self._last = sample
+            self.put(*self._told)
+            return
         seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
         motion = between(last.pose, sample.pose)
         _, flown_s, flown_m = self._mapper.visits.track()
@@ -77,7 +85,7 @@ class Follower:
         """Take over the mapper's correction, unless odometry has broken since that code."""
         if self._last is None or self._last.stamp_ns <= odometry.stamp_ns:
             self._last = odometry
-        if self._last.segment != odometry.segment:
+        if self._last.segment != odometry.segment or self._mapper.place is None:
             return
         self._map_T_odom = self._mapper.map_T_odom()
         self._drift = copy(self._mapper.drift)

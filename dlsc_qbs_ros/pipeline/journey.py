@@ -92,7 +92,8 @@ class Journey:
     def break_off(self) -> None:
         """Take note that nobody knows how the robot came from the last visit to here."""
         self.drift.anchor(0.0, 0.0)
-        self._cut()
+        if self.visits.place() is not None:  # else the map is yet to begin
+            self._cut()
 
     def put(self, experience: int, offset: Pose2) -> None:
         """Take the robot to be at an offset from an old experience, without a visit."""
@@ -105,6 +106,7 @@ class Journey:
             place = self.visits.place()
             self._cut()
             self._n_runs += 1
+            self._last_met_m = self.NEVER_M
             self.visits.add(place.experience, place.offset, self._n_runs)
             self.pieces.label()
 

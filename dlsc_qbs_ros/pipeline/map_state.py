@@ -131,7 +131,7 @@ def _check_sense(state: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None
             ('link_makers', _within(state['link_makers'], -1, sizes['visits'] - 1), 'visits'),
             ('robot_stand', _within(state['robot_stand'], -1, sizes['visits'] - 1), 'a visit'),
             ('robot_drift', _within(state['robot_drift'], 0.0, LARGEST), 'none below 0'),
-            ('view_cell_decays', _within(state['view_cell_decays'], 0.0, 100.0), 'a decay'),
+            ('view_cell_decays', _within(state['view_cell_decays'], 0.0, LARGEST), 'a decay'),
             ('pose_cells', _within(state['pose_cells'], 0.0, LARGEST)
              and state['pose_cells'].sum() > 1e-9, 'some activity, none below 0')):
         _require(holds, name, expected)

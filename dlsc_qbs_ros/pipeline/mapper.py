@@ -108,7 +108,9 @@ class Mapper:
         else:
             self.journey.break_off()
             offsets = self.map.poses[:, :2] - (pose.x_m, pose.y_m)
-            nearest = int(np.argmin(np.hypot(*offsets.T)))
+            pieces = self.journey.pieces
+            nearest = int(np.argmin(np.where(
+                pieces.of() == pieces.main, np.hypot(*offsets.T), inf)))
             self.packet.place(nearest)
             self.journey.put(nearest, between(self.map.pose(nearest), pose))
         self.drift.anchor(position_sigma_m, yaw_sigma_rad)
@@ -188,6 +190,8 @@ class Mapper:
         seconds = max(seconds, 0.0)  # a clock that falls back makes nothing younger
         self.odometry = odometry
         self.journey.move(motion, seconds)
+        if self._first_pose is not None:
+            self._first_pose = compose(self._first_pose, motion)
         return motion
 
     def _is_keyframe(self, odometry: OdometrySample, patience: float) -> bool:

@@ -53,16 +53,17 @@ class Pieces:
         return bool(self._piece[int(self._segment(experience))] != self.here)
 
     @property
-    def is_localised(self) -> bool:
-        """
-        Whether the robot knows where it is in the map, rather than in a piece apart.
-
-        The map is the oldest piece that is long enough for a place of it to be recognised.
-        """
+    def main(self) -> int:
+        """Return the map: the oldest piece that is long enough for a place to be recognised."""
         if len(self._piece) == 1:
-            return True
+            return 0
         known = np.flatnonzero(np.bincount(self.of()) >= self._recognisable)
-        return self.here == (known[0] if len(known) else 0)
+        return int(known[0]) if len(known) else 0
+
+    @property
+    def is_localised(self) -> bool:
+        """Whether the robot knows where it is in the map, rather than in a piece apart."""
+        return self.here == self.main
 
     def put(self, experience: int) -> None:
         """Take the robot to be in the piece of an experience from here on."""

@@ -182,7 +182,8 @@ class RatSlam(LiveMap):
     def _awaits_code(self, sample: OdometrySample) -> bool:
         """Whether a code at or before this sample is there or may yet come and be used."""
         if self._codes:
-            return self._codes[0][0].stamp_ns <= sample.stamp_ns
+            return (self._codes[0][0].stamp_ns <= sample.stamp_ns
+                    and not self._book.is_restoring)
         if self._due_ns is None or not self._codes_flow:
             return False
         return sample.stamp_ns >= self._due_ns

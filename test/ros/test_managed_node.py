@@ -170,6 +170,24 @@ def test_parameters_set_together_change_together_or_not_at_all(worker):
     assert worker.config == Config()
 
 
+def test_a_map_is_saved_by_itself_in_the_next_life_too_whatever_was_set_in_this_one(domain_id):
+    with ros('-p', 'ratslam.autosave_s:=60.0'):
+        node = RatSlamNode()
+        node.start()
+
+        def periods_s():
+            return sorted(timer.timer_period_ns / 1e9 for timer in node.timers
+                          if not timer.is_canceled())
+        assert 60.0 in periods_s()
+        for period_s in (60.0, 0.0, 30.0):
+            node.set_parameters([Parameter('ratslam.autosave_s', value=period_s)])
+        before = periods_s()
+        assert 30.0 in before and 60.0 not in before
+        assert node.trigger_deactivate() == node.trigger_activate() == SUCCESS
+        assert periods_s() == before
+        node.destroy_node()
+
+
 @pytest.mark.parametrize('node_class, worker_class', [
     (EncoderNode, Encoder), (RatSlamNode, RatSlam), (RecorderNode, Recording)])
 def test_twenty_lives_leave_nothing_behind(domain_id, tmp_path, node_class, worker_class):

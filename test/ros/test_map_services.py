@@ -184,6 +184,24 @@ def test_after_kill_9_a_node_comes_back_in_the_map_it_saved_by_itself(
     assert len(np.unique(read_map(path)[1]['visit_flown'][:, 2])) == 1
 
 
+def test_what_grew_since_it_was_saved_is_saved_before_the_map_is_kept_and_nothing_before_it_is(
+        start, observer, tmp_path, flight):
+    path = tmp_path / 'hall.map'
+    drone = Drone(start, observer, tmp_path, *in_file(path), '-p', 'ratslam.autosave_s:=0.1')
+    assert drone.call('pause').success
+    drone.fly(flight[:150])
+    assert int(drone.values()[1]['codes_used']) > 0
+    assert observer.set_parameters('ratslam', ratslam__autosave_s=3600.0) == ''
+    assert drone.call('resume').success
+    drone.fly(flight[150:300])
+    n = int(drone.values()[1]['experiences'])
+    assert not path.exists()
+    assert drone.call('set_localization_mode', data=True).success
+    assert drone.process.stop() == 0
+    assert len(read_map(path)[1]['experience_poses']) >= n > 0
+    assert 'map not saved' not in drone.process.text()
+
+
 def test_what_cannot_be_done_is_refused_in_words_and_the_map_goes_on(
         start, observer, tmp_path, flight):
     (tmp_path / 'photo.map').write_bytes(b'\xff\xd8\xff')
@@ -196,7 +214,8 @@ def test_what_cannot_be_done_is_refused_in_words_and_the_map_goes_on(
     assert not response.success and 'there is no map yet' in response.message
     drone.fly(flight[:150])
     _, before = drone.values()
-    for path, said in (('photo.map', 'cut, damaged or no map'), ('none.map', 'no such file')):
+    for path, said in (('photo.map', 'cut, damaged or no map'), ('none.map', 'no such file'),
+                       ('n' * 300, 'File name too long')):
         path = str(tmp_path / path)
         assert observer.set_parameters('ratslam', ratslam__map_file=path) == ''
         response = drone.call('load_map')
