@@ -305,3 +305,23 @@ def test_a_line_that_is_taken_is_said_and_tried_again():
             taken.close()
             with flying_over_udp(to=port):
                 wait_until(lambda: samples)
+
+
+def test_a_slow_disk_holds_up_nobody_who_asks_or_sends(tmp_path, monkeypatch):
+    key_file = tmp_path / 'key'
+    key_file.write_bytes(bytes(32))
+    key_file.chmod(0o600)
+    link = MavlinkLink(MavlinkConfig(
+        connection=f'udpin:127.0.0.1:{free_port()}', key_file=str(key_file)))
+    syncing, synced = Event(), Event()
+    monkeypatch.setattr(os, 'fsync', lambda _: syncing.set() or synced.wait(10.0))
+    link.start(lambda raw: None)
+    try:
+        assert syncing.wait(5.0)
+        other = Thread(target=lambda: link.send(heartbeat()) or link.diagnostics(), daemon=True)
+        other.start()
+        other.join(5.0)
+        assert not other.is_alive()
+    finally:
+        synced.set()
+        link.stop()

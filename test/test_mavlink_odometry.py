@@ -230,6 +230,20 @@ def test_odometry_is_preferred_while_it_comes_and_its_parts_serve_when_it_stops(
     assert joined.sample.segment != first.sample.segment
 
 
+def test_a_time_of_32_bits_that_wraps_does_not_disturb_odometry():
+    link, wrap_s = Link(), 2 ** 32 / 1000
+    made = []
+    for k in range(-100, 100):
+        time_s = wrap_s + 0.02 * k
+        made += link.send(odometry(time_s))
+        for late_s in (0.005, 0.01):
+            part = attitude((time_s + late_s) % wrap_s)
+            arrival_ns = ARRIVAL_NS + round((time_s + late_s) * 1e9)
+            made += link.assembler.take(part, arrival_ns)
+    assert len(made) == 200
+    assert len({raw.sample.segment for raw in made}) == 1
+
+
 def test_messages_of_other_kinds_give_nothing():
     link = Link()
     message = dialect.MAVLink_sys_status_message(*[0] * 13)

@@ -39,8 +39,10 @@ def packets(peer, n=1):
     (KEY.hex().encode() + b'\n', KEY),
     (KEY.hex().upper().encode(), KEY),
     (b'correct horse battery staple\n', sha256(b'correct horse battery staple').digest()),
-    (b'abcd', sha256(b'abcd').digest())],
-    ids=['32 bytes', 'hex', 'upper case', 'passphrase', 'short hex is a passphrase'])
+    (b'abcd', sha256(b'abcd').digest()),
+    (b'p' * 31 + b'\n', sha256(b'p' * 31).digest())],
+    ids=['32 bytes', 'hex', 'upper case', 'passphrase', 'short hex is a passphrase',
+         'a line of 32 bytes is a passphrase'])
 def test_a_key_is_32_bytes_or_their_hex_digits_or_a_passphrase(tmp_path, content, key):
     assert load_key(secret(tmp_path / 'key', content)) == key
 

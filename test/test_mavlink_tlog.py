@@ -63,6 +63,16 @@ def test_dirt_costs_no_record_and_is_counted_once(write, dirt):
     assert odometry.counts == {'mavlink_corrupt': 1}
 
 
+@pytest.mark.parametrize('n_before', [1, 10])
+def test_records_from_before_the_clock_was_set_cost_none_of_those_after(write, n_before):
+    records = flight()
+    records[:n_before] = [(30_000_000 + 20_000 * k).to_bytes(8, 'big') + record[8:]
+                          for k, record in enumerate(records[:n_before])]
+    recording = TlogOdometry(write(*records))
+    assert len(list(recording)) == 20
+    assert recording.counts['mavlink_corrupt'] == 0
+
+
 def test_a_recording_that_was_cut_is_read_up_to_there(write):
     odometry = TlogOdometry(write(*flight(), flight()[-1][:-3]))
     assert len(list(odometry)) == 20
@@ -89,6 +99,16 @@ def test_a_recording_is_played_in_its_time_and_ends_in_words(write):
     player.stop()
     assert len(arrived) == 5
     assert player.diagnostics() == {}
+
+
+def test_a_year_between_two_flights_is_not_waited_for(write):
+    path = write(*flight(5), *flight(5, first_s=3e7, boot_s=5.0))
+    player, arrived = TlogPlayer(MavlinkConfig(connection=str(path))), []
+    player.start(arrived.append)
+    wait_until(lambda: player.why_silent() == 'the recording has ended')
+    player.stop()
+    assert len(arrived) == 9
+    assert player.diagnostics()['mavlink_time_outliers'] == 1  # alone, it was no reboot yet
 
 
 def test_a_recording_stops_when_it_is_told_to(write):

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 import threading
 import time
+from unittest.mock import Mock
 
 from dlsc_qbs_ros.config import RecorderConfig
 from dlsc_qbs_ros.errors import RecordingError
@@ -13,8 +14,10 @@ from dlsc_qbs_ros.io import bag_writer, recording as recording_module
 from dlsc_qbs_ros.io.bag import bag_topics, latched_topics, read_bag
 from dlsc_qbs_ros.io.bag_file import BALLAST_BYTES
 from dlsc_qbs_ros.io.bag_writer import BagWriter
+from dlsc_qbs_ros.io.inbox import QueuedMessage
 from dlsc_qbs_ros.io.mcap_repair import is_cut
 from dlsc_qbs_ros.io.recording import LOSSES, Recording
+from dlsc_qbs_ros.io.snapshot_buffer import SnapshotBuffer
 from mcap.reader import make_reader
 import pytest
 from recordings import install_definitions, note, SmallDisk, TYPE
@@ -608,3 +611,35 @@ def test_a_sync_that_fails_is_told(record, monkeypatch):
     assert send(recording, [1]) == [1]
     assert 'cannot be synced' in close(recording)
     assert numbers_of(recording.directory) == [1]
+
+
+def test_a_clock_that_falls_back_begins_a_file(tmp_path):
+    with BagWriter(tmp_path / 'bag', RecorderConfig(max_duration_s=1.0)) as writer:
+        writer.add_topic('/a', TYPE)
+        for k, time_s in enumerate([100.0, 100.9, 10.0, 10.9, 11.0]):
+            writer.write('/a', note(k), round(time_s * 1e9), 0)
+    assert [len(list(read_bag(tmp_path / 'bag' / f'bag_{k}.mcap'))) for k in range(3)] == [2, 2, 1]
+
+
+def test_a_snapshot_holds_the_last_seconds_also_of_a_clock_that_fell_back():
+    buffer = SnapshotBuffer(5.0, 2**20)
+    for time_s in (*range(100), *range(50)):
+        buffer.add(QueuedMessage('/a', b'', time_s * 10**9, 0, 0), False)
+    assert [message.log_time_ns // 10**9 for message in buffer.take()] == list(range(44, 50))
+
+
+def test_a_folder_whose_name_no_metadata_can_tell_is_refused(tmp_path):
+    with pytest.raises(RecordingError, match='cannot make a new recording: .*surrogates'):
+        BagWriter(tmp_path / os.fsdecode(b'\xff'))
+    assert [path.name for path in tmp_path.iterdir()] == ['prefix']
+
+
+def test_a_keeper_that_died_is_told(record, monkeypatch):
+    recording = record()
+    monkeypatch.setattr(BagWriter, 'tidy', Mock(side_effect=ValueError('broken')))
+    send(recording, range(1))
+    recording._keeper._thread.join(10.0)
+    assert "the keeper failed: ValueError('broken')" in recording.status().error
+    monkeypatch.undo()
+    with pytest.raises(RecordingError, match='the keeper failed'):
+        recording.close()

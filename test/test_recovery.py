@@ -14,6 +14,7 @@ from dlsc_qbs_ros.io.bag import bag_topics, latched_topics, read_bag
 from dlsc_qbs_ros.io.bag_writer import BagWriter
 from dlsc_qbs_ros.io.ballast import BALLAST_FILE
 from dlsc_qbs_ros.io.mcap_repair import is_cut, RECOVERED, Repair
+from dlsc_qbs_ros.io.mcap_writer import McapWriter
 from dlsc_qbs_ros.io.recovery import recover, repair_earlier
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -250,6 +251,93 @@ def test_cut_files_of_others_are_left_alone_unless_asked_for(tmp_path):
     path.write_bytes(content.replace(b'dlsc_qbs_ros', b'other_writer'))
     assert list(repair_earlier(tmp_path)) == []
     assert len(list(recover(path))) == 1
+
+
+def test_a_file_of_another_that_still_holds_its_header_back_is_left_alone(tmp_path):
+    path = tmp_path / 'theirs' / 'theirs_0.mcap'
+    path.parent.mkdir()
+    with open(path, 'wb') as stream:
+        writer = Writer(stream)
+        writer.start('ros2')
+        assert path.stat().st_size == 0  # it stands in the stream's buffer
+        assert list(repair_earlier(tmp_path)) == []
+        schema = writer.register_schema(TYPE, 'ros2msg', b'string data')
+        writer.add_message(writer.register_channel('/a', 'cdr', schema), 0, note(7), 0)
+        writer.finish()
+    assert numbers_of(path) == [7]
+
+
+def test_an_empty_file_beside_the_ballast_is_ours_and_repaired(tmp_path):
+    directory = write(tmp_path / 'flight')
+    crash(directory)
+    os.truncate(directory / 'flight_0.mcap', 0)
+    assert list(repair_earlier(tmp_path)) == [Repair(directory / 'flight_0.mcap', 0, 0)]
+
+
+def test_a_link_to_a_file_stays_one_and_gives_no_way_round_the_lock(tmp_path):
+    link = tmp_path / 'latest.mcap'
+    link.symlink_to(tmp_path / 'flight' / 'flight_0.mcap')
+    with BagWriter(tmp_path / 'flight') as writer:
+        writer.add_topic('/a', TYPE)
+        writer.write('/a', note(1), 1, 1)
+        writer.flush()
+        assert list(repair_earlier(tmp_path)) == []
+        with pytest.raises(RecordingError, match='flight_0.mcap: is being written'):
+            list(recover(link))
+    crash(tmp_path / 'flight')
+    assert list(recover(link)) == [Repair(link.resolve(), 1, 0)]
+    assert link.is_symlink() and numbers_of(link) == [1]
+
+
+def test_messages_of_a_damaged_channel_are_left_out_and_the_rest_comes_back(tmp_path):
+    path = tmp_path / 'some.mcap'
+    writer = McapWriter(path)
+    schema = writer.add_schema(TYPE, 'ros2msg', b'string data')
+    starts = []
+    for topic in ('/a', '/b'):
+        starts.append(writer.size_bytes)
+        channel = writer.add_channel(topic, schema, {})
+        writer.write(channel, note(channel), 1, 1)
+    writer.flush()
+    writer.close()
+    content = bytearray(path.read_bytes())
+    content[starts[0] + 13:starts[0] + 17] = b'\xff' * 4  # the length of its name
+    path.write_bytes(content)
+    repair, = recover(path)
+    assert repair.n_messages == 1 and repair.lost_bytes > 0
+    assert numbers_of(path) == [2]
+
+
+@pytest.mark.parametrize('damage, why', [
+    (lambda path: path.write_bytes(b'\x89MCAP0\r\n' + b'\x14' * 60 + b'\x89MCAP0\r\n'),
+     'its index cannot be read'),
+    (lambda path: path.unlink() or without_a_type(path), '/a has no type')])
+def test_a_file_that_cannot_be_listed_hinders_no_other_repair(tmp_path, damage, why):
+    runs = [write(tmp_path / name, max_duration_s=40e-9) for name in ('first', 'second')]
+    for run in runs:
+        crash(run)
+    damage(runs[0] / 'first_0.mcap')
+    repairs = list(repair_earlier(tmp_path))
+    assert [repair.path.name for repair in repairs] == [
+        'first_2.mcap', 'first', 'second_2.mcap']
+    assert why in repairs[1].error
+
+
+def without_a_type(path):
+    writer = McapWriter(path)
+    writer.write(writer.add_channel('/a', 0, {}, 'json'), b'{}', 1, 1)
+    writer.finish({})
+
+
+def test_how_others_compressed_their_messages_stays_in_the_metadata(tmp_path):
+    directory = write(tmp_path / 'flight')
+    crash(directory)
+    document = yaml.safe_load((directory / 'metadata.yaml').read_text())
+    how = {'compression_format': 'zstd', 'compression_mode': 'MESSAGE'}
+    document['rosbag2_bagfile_information'].update(how)
+    (directory / 'metadata.yaml').write_text(yaml.safe_dump(document))
+    list(recover(directory))
+    assert how.items() <= information_of(directory).items()
 
 
 def test_a_file_that_cannot_be_rewritten_stays_as_it_is_and_is_told(tmp_path, monkeypatch):

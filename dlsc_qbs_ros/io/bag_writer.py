@@ -65,9 +65,10 @@ class BagWriter:
         self._closed = False
         self._held = ExitStack()
         try:
+            self.directory.resolve().name.encode()  # the metadata tell it
             self.directory.mkdir(parents=True)
             self._held.enter_context(locked(self.directory))
-        except OSError as error:
+        except (OSError, UnicodeEncodeError) as error:
             raise RecordingError(f'{directory}: cannot make a new recording: {error}') from error
         self._ballast = Ballast(self.directory)
         self._held.callback(self._ballast.release)

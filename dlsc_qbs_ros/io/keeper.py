@@ -47,6 +47,12 @@ class Keeper:
                 self._untidy = str(error)
 
     def _run(self) -> None:
+        try:
+            self._keep_on()
+        except Exception as error:  # a keeper that died must not look alive
+            self._unsynced = f'{self._bag.directory}: the keeper failed: {error!r}'
+
+    def _keep_on(self) -> None:
         period_s = min(self._sync_interval_s or _TIDY_PERIOD_S, _TIDY_PERIOD_S)
         due_s = 0.0
         while True:

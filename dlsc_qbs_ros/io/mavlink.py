@@ -135,6 +135,7 @@ class MavlinkLink:
                 with self._lock:
                     for packet in self._companion.outgoing(now_s):
                         connection.send(packet)
+                self._companion.save_in_time(now_s)
                 heard_s = max(self._companion.heard_s, opened_s)
                 if not connection.datagrams and now_s - heard_s > SILENT_S:
                     raise ConnectionError(f'silent for {SILENT_S:g} s')

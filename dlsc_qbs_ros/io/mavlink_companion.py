@@ -38,13 +38,14 @@ class Companion:
         self._signing = Signing(Path(config.key_file), self._sender) if config.key_file else None
         self._receiver = Receiver(config, signing=self._signing, on_message=self._on_message)
         self._requests = RateRequests(config.rate_hz)
-        self._counts: Counter[str] = Counter()
+        self._counts = Counter(mavlink_timestamps_unsaved=0)
         self._replies: deque[dialect.MAVLink_message] = deque(maxlen=100)
         self._timesync_sent_ns: deque[int] = deque(maxlen=10)
         self._duties = {
             self._beat: HEARTBEAT_PERIOD_S, self._ask_time: TIMESYNC_PERIOD_S,
-            self._ask_rates: REQUEST_PERIOD_S, self._persist: PERSIST_PERIOD_S}
+            self._ask_rates: REQUEST_PERIOD_S}
         self._due_s = dict.fromkeys(self._duties, -inf)
+        self._save_due_s = -inf
         self._lead_ns: int | None = None
         self.heard_s = self.odometry_s = -inf
 
@@ -94,6 +95,12 @@ class Companion:
                 self._signing.save()
             except OSError:
                 self._counts['mavlink_timestamps_unsaved'] += 1
+
+    def save_in_time(self, now_s: float) -> None:
+        """Keep it now and then; the disk may take its time."""
+        if now_s >= self._save_due_s:
+            self._save_due_s = now_s + PERSIST_PERIOD_S
+            self.save()
 
     def counts(self) -> Counter[str]:
         """Return what was amiss, by cause."""
@@ -147,7 +154,3 @@ class Companion:
             self._requests.renew()  # it may be rebooting
             return ()
         return self._requests.due(self._receiver.autopilot, now_s - self.odometry_s <= FRESH_S)
-
-    def _persist(self, now_s: float) -> Iterable[dialect.MAVLink_message]:
-        self.save()
-        return ()

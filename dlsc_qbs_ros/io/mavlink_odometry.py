@@ -55,7 +55,7 @@ class OdometryAssembler:
     def take(self, message: dialect.MAVLink_message, arrival_ns: int) -> Iterator[RawOdometry]:
         """Yield the odometry that this message completes."""
         taker = self._takers.get(message.get_type())
-        if taker is None:
+        if taker is None or taker != self._take_odometry and self._is_preferring(arrival_ns):
             return
         stamp_ns = self._clock.stamp(remote_time_ns(message), arrival_ns)
         if stamp_ns is None:
@@ -65,6 +65,10 @@ class OdometryAssembler:
             self._attitudes.clear()
             self._positions.clear()
         yield from taker(message, stamp_ns, arrival_ns)
+
+    def _is_preferring(self, arrival_ns: int) -> bool:
+        """Whether parts are left alone, and their time too: it wraps, that of ODOMETRY not."""
+        return self._preferred_until_ns is not None and arrival_ns < self._preferred_until_ns
 
     def _take_odometry(self, message, stamp_ns, arrival_ns) -> Iterator[RawOdometry]:
         cause = refusal(message)
@@ -77,8 +81,6 @@ class OdometryAssembler:
             message, stamp_ns, self._segment(message.frame_id, message.reset_counter))
 
     def _take_position(self, message, stamp_ns, arrival_ns) -> Iterator[RawOdometry]:
-        if self._preferred_until_ns is not None and arrival_ns < self._preferred_until_ns:
-            return
         ned_m = message.x, message.y, message.z
         if not all(map(isfinite, ned_m)):
             self.counts['odometry_malformed'] += 1

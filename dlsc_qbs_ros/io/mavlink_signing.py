@@ -40,7 +40,8 @@ def load_key(path: Path) -> bytes:
     if mode & 0o077:
         raise ConfigError(f'mavlink.key_file = {str(path)!r}: mode {mode:04o}, expected one that '
                           'group and others cannot read, as 0600')
-    if len(content) == KEY_LENGTH:
+    # As bytes; but those of an editor, a line of 31 characters and its end, are a passphrase.
+    if len(content) == KEY_LENGTH and not (content.isascii() and content.endswith(b'\n')):
         return content
     text = content.strip()
     if not text:

@@ -16,7 +16,7 @@ from ..errors import RecordingError
 
 # A record is the UNIX time in microseconds, big-endian, and the packet.
 _TIME_LENGTH = 8
-# A damaged time is one farther than this from the one before.
+# A damaged time is one farther than this from the one before and from the one behind it.
 _MAX_STEP_US = 86_400_000_000
 
 
@@ -39,11 +39,12 @@ class TlogPackets:
         reader, data = PacketReader(), self._data
         at, last_us, is_lost = 0, None, False
         while at + _TIME_LENGTH < len(data):
-            time_us = int.from_bytes(data[at:at + _TIME_LENGTH], 'big')
-            packet = None
-            if last_us is None or abs(time_us - last_us) < _MAX_STEP_US:
-                packet = reader.read(data, at + _TIME_LENGTH)
+            time_us = _time_us(data, at)
+            packet = reader.read(data, at + _TIME_LENGTH)
             end = at + _TIME_LENGTH + len(packet.data) if packet else at
+            if packet is not None and last_us is not None and not _is_near(time_us, last_us) and (
+                    packet.message is None or not _is_near(time_us, _time_us(data, end))):
+                packet = None
             if packet is not None and packet.message is not None:
                 yield time_us * 1000, packet
                 at, last_us, is_lost = end, time_us, False
@@ -53,6 +54,14 @@ class TlogPackets:
             else:
                 self.corrupt += not is_lost
             at, is_lost = next_start(data, at + 1 + _TIME_LENGTH) - _TIME_LENGTH, True
+
+
+def _time_us(data: bytes, at: int) -> int:
+    return int.from_bytes(data[at:at + _TIME_LENGTH], 'big')
+
+
+def _is_near(time_us: int, other_us: int) -> bool:
+    return abs(time_us - other_us) < _MAX_STEP_US
 
 
 class TlogOdometry:
@@ -110,11 +119,13 @@ class TlogPlayer:
         return 'a pause in the recording' if self._is_playing else 'the recording has ended'
 
     def _play(self, deliver: Callable[[RawOdometry], None]) -> None:
-        began_s, first_ns = time.monotonic(), None
+        due_s, last_ns = time.monotonic(), None
         odometry = iter(self._odometry)
         while (raw := self._next(odometry)) is not None:
-            first_ns = raw.sample.stamp_ns if first_ns is None else first_ns
-            due_s = began_s + (raw.sample.stamp_ns - first_ns) * 1e-9
+            step_ns = 0 if last_ns is None else raw.sample.stamp_ns - last_ns
+            last_ns = raw.sample.stamp_ns
+            if abs(step_ns) < _MAX_STEP_US * 1000:  # else the clock was set: nobody waits for it
+                due_s += step_ns * 1e-9
             if self._stopping.wait(max(0.0, due_s - time.monotonic())):
                 return
             deliver(raw)

@@ -25,7 +25,7 @@ _HEAD = struct.Struct('<BQ')
 
 
 class Repair(NamedTuple):
-    """What became of a file: its messages, and the bytes in which no message is whole."""
+    """What became of a file: its messages, and the bytes in which not all is whole."""
 
     path: Path
     n_messages: int
@@ -66,8 +66,8 @@ def rewrite(path: Path) -> Repair:
     """
     Put a file with an index in the place of one without, in one step once it is on the medium.
 
-    Chunks whose checksum does not fit are left out; what is left out stands in a record of the
-    file.
+    Chunks whose checksum does not fit are left out, and messages whose channel is damaged; what is
+    left out stands in a record of the file.
 
     Raises
     ------
@@ -101,14 +101,17 @@ def _copy(path: Path, writer: McapWriter) -> int:
     whole_bytes = 0
     schemas, channels = {0: 0}, {}
     for n_bytes, records in _scan(path):
-        whole_bytes += n_bytes
         for record in records:
             if isinstance(record, Message):
+                if record.channel_id not in channels:  # nothing tells what it is
+                    n_bytes = 0
+                    continue
                 writer.write(channels[record.channel_id], record.data, record.log_time,
                              record.publish_time, record.sequence)
             elif isinstance(record, Schema):
                 schemas[record.id] = writer.add_schema(record.name, record.encoding, record.data)
-            elif isinstance(record, Channel) and record.id not in channels:
+            elif isinstance(record, Channel) and record.schema_id in schemas and (
+                    record.id not in channels):
                 channels[record.id] = writer.add_channel(
                     record.topic, schemas[record.schema_id], record.metadata,
                     record.message_encoding)
@@ -120,6 +123,7 @@ def _copy(path: Path, writer: McapWriter) -> int:
             elif isinstance(record, Chunk):
                 writer.compression = record.compression
         writer.flush()
+        whole_bytes += n_bytes
     return whole_bytes
 
 

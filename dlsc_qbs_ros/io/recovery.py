@@ -5,8 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 import re
+import struct
 from typing import Any, Iterator
 
+from mcap.exceptions import McapError
 from mcap.reader import make_reader
 import yaml
 
@@ -18,6 +20,9 @@ from .disk import locked
 from .mcap_repair import header_of, is_cut, Repair, rewrite
 from .mcap_writer import LIBRARY
 from ..errors import RecordingError
+
+# What `metadata.yaml` says that the files do not.
+_KEPT = ('compression_format', 'compression_mode', 'custom_data', 'ros_distro')
 
 
 def repair_earlier(folder: Path) -> Iterator[Repair]:
@@ -33,7 +38,8 @@ def repair_earlier(folder: Path) -> Iterator[Repair]:
         with locked(directory) as is_held:
             if is_held:
                 yield from _repaired(directory, [
-                    path for path in _files(directory) if _is_ours_and_cut(path)])
+                    path for path in _files(directory)
+                    if not path.is_symlink() and _is_ours_and_cut(path)])
 
 
 def recover(path: Path) -> Iterator[Repair]:
@@ -47,6 +53,8 @@ def recover(path: Path) -> Iterator[Repair]:
 
     """
     path = Path(path)
+    if path.is_symlink():  # the file behind it is repaired, where a writer would hold a lock
+        path = path.resolve()
     directory = path if path.is_dir() else path.parent
     files = _files(path) if path.is_dir() else [path]
     if not files:
@@ -79,7 +87,9 @@ def _is_ours_and_cut(path: Path) -> bool:
         if not is_cut(path):
             return False
         header = header_of(path)
-        return header is None or header.library == LIBRARY
+        if header is None:  # another recorder may hold it back, as it does its first chunk
+            return (path.parent / BALLAST_FILE).exists()
+        return header.library == LIBRARY
     except RecordingError:  # whatever it is, it is not for us to repair
         return False
 
@@ -101,8 +111,7 @@ def _list_again(directory: Path) -> None:
     information = bag_information(topics.values(), summaries)
     with suppress(RecordingError):  # those that are no metadata any more
         kept = read_information(directory)
-        information.update({key: kept[key] for key in ('custom_data', 'ros_distro')
-                            if key in kept})
+        information.update({key: kept[key] for key in _KEPT if key in kept})
     write_information(directory, information, synced=True)
 
 
@@ -110,13 +119,18 @@ def _summary(path: Path, topics: dict[str, dict[str, Any]]) -> FileSummary:
     """Return what the index of a file says; add its topics."""
     if is_cut(path):
         return FileSummary(path.name, {}, 0, 0)
-    with open(path, 'rb') as stream:
-        summary = make_reader(stream).get_summary()
+    try:
+        with open(path, 'rb') as stream:
+            summary = make_reader(stream).get_summary()
+    except (McapError, ValueError, struct.error) as error:
+        raise RecordingError(f'{path}: its index cannot be read: {error!r}') from error
     if summary is None or summary.statistics is None:
         raise RecordingError(f'{path}: its index lacks statistics')
     counts = {}
     for key, channel in summary.channels.items():
         profiles = yaml.safe_load(channel.metadata.get('offered_qos_profiles', '')) or []
+        if channel.schema_id not in summary.schemas:
+            raise RecordingError(f'{path}: {channel.topic} has no type')
         topics[channel.topic] = topic_metadata(
             channel.topic, summary.schemas[channel.schema_id].name, profiles,
             channel.metadata.get('topic_type_hash', ''))

@@ -27,9 +27,9 @@ class SnapshotBuffer:
             self._latched[message.topic] = message
         self._messages.append(message)
         self._n_bytes += len(message.data)
-        oldest_ns = message.log_time_ns - self._duration_ns
-        while self._messages and (
-                self._n_bytes > self._max_bytes or self._messages[0].log_time_ns < oldest_ns):
+        while self._messages and (  # a simulated clock may fall back
+                self._n_bytes > self._max_bytes
+                or abs(message.log_time_ns - self._messages[0].log_time_ns) > self._duration_ns):
             self._n_bytes -= len(self._messages.popleft().data)
 
     def take(self) -> list[QueuedMessage]:

@@ -110,9 +110,10 @@ class RecorderNode(ManagedNode):
             msg = losses_to_msg(now_ns, losses)
             self._losses.publish(msg)
             topic = self._losses.topic_name
-            if not self._told_losses:
+            has_ended = status.state == 'stopped'  # only who listens can be told then
+            if not self._told_losses and not has_ended:
                 self._recording.add_topic(topic, type_name(msg), [qos_to_words(OUTPUT)])
-            if self._recording.write(topic, serialize(msg), now_ns, now_ns):
+            if has_ended or self._recording.write(topic, serialize(msg), now_ns, now_ns):
                 self._told_losses = losses
         if status.error and status.error != self._told_error:
             consequence = 'nothing more is recorded: ' * (status.state == 'stopped')

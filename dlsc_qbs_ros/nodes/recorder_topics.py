@@ -21,7 +21,7 @@ class RecorderTopics:
     """
     Finds topics that are to be recorded, announces them to the recording and listens to them.
 
-    `refused` holds topics that cannot be recorded, and why.
+    `refused` holds topics that cannot be recorded, or types on them, and why.
     """
 
     def __init__(self, node: Node, recording: Recording, selection: TopicSelection,
@@ -43,8 +43,7 @@ class RecorderTopics:
                 try:
                     self._record(topic, types, offers)
                 except RecordingError as error:
-                    self.refused[topic] = str(error)
-                    self._node.get_logger().error(f'{topic} is not recorded: {error}')
+                    self._refuse(topic, str(error))
 
     def take(self) -> list[Arrival]:
         """Return what has arrived, in the order of arrival."""
@@ -77,6 +76,11 @@ class RecorderTopics:
                 words[f'{name} message_lost'] = str(topic.lost_events)
         return words
 
+    def _refuse(self, name: str, reason: str) -> None:
+        if name not in self.refused:
+            self.refused[name] = reason
+            self._node.get_logger().error(f'{name} is not recorded: {reason}')
+
     def _record(self, topic: str, types: list[str], offers: list[TopicEndpointInfo]) -> None:
         recorded = self._topics.get(topic)
         if recorded is None:
@@ -84,6 +88,8 @@ class RecorderTopics:
                 raise RecordingError(f'it has {len(types)} types, {", ".join(types)}; expected 1')
             recorded = RecordedTopic(
                 self._node, topic, types[0], self._overrides.get(topic, {}))
+        for other in sorted({info.topic_type for info in offers} - {recorded.type_name}):
+            self._refuse(f'{topic} of {other}', f'it is recorded as {recorded.type_name}')
         fitting = [info for info in offers if info.topic_type == recorded.type_name]
         if not fitting or not recorded.is_changed(fitting):
             return
