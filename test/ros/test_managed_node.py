@@ -25,6 +25,10 @@ SUCCESS, FAILURE, ERROR = (TransitionCallbackReturn.SUCCESS, TransitionCallbackR
                            TransitionCallbackReturn.ERROR)
 
 
+def _ignore(*_):
+    """Do nothing."""
+
+
 class Worker(ManagedNode):
     """A node that notes its steps, and fails where it is told to."""
 
@@ -45,8 +49,8 @@ class Worker(ManagedNode):
         self._step('configure')
 
     def activate(self, undo):
-        self.create_subscription(String, 'in', print, 1)
-        self.create_timer(60.0, print)
+        self.create_subscription(String, 'in', _ignore, 1)
+        self.create_timer(60.0, _ignore)
         undo.callback(self._step, 'deactivate')
         self._step('activate')
 
