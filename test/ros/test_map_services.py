@@ -92,7 +92,9 @@ class Drone:
             *ros_args)
         observer.spin_until(lambda: all(
             publisher.get_subscription_count() for publisher in self.publishers.values()))
-        self.values()  # heard once, a node is heard on its other topics too
+        # Heard on one topic, a node knows who listens to the others; they must know of it, too.
+        self.values()
+        observer.spin_until(lambda: observer.node.count_publishers(f'{namespace}/pose'))
 
     def fly(self, flight):
         """Send a flight, no faster than its poses come."""
