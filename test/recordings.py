@@ -24,6 +24,13 @@ def note(number, n_bytes=0):
     return b'\0\1\0\0' + struct.pack('<II', 1, len(data)) + data
 
 
+def _size_bytes(path):
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:  # renamed or deleted meanwhile, by another thread
+        return 0
+
+
 class SmallDisk:
     """
     A disk of so many bytes for what lies in one folder; raises as a full one does.
@@ -40,7 +47,7 @@ class SmallDisk:
 
     def free_bytes(self):
         """Return the room that is left."""
-        return self.size_bytes - sum(path.stat().st_size for path in self.folder.glob('*'))
+        return self.size_bytes - sum(map(_size_bytes, self.folder.glob('*')))
 
     def pwritev(self, descriptor, buffers, offset):
         """Write as much as fits, and raise when that is nothing."""
