@@ -587,7 +587,7 @@ def test_metadata_that_cannot_be_written_are_told_until_they_can(record, monkeyp
     recording.split().result(TIMEOUT_S)
     wait_until(lambda: recording.status().error == '')
     assert information_of(recording)['message_count'] == 1
-    assert not (recording.directory / '.metadata.yaml.new').exists()
+    assert not (recording.directory / 'metadata.yaml.part').exists()
 
 
 def test_a_folder_that_no_sync_is_known_for_is_no_failure(record, monkeypatch):

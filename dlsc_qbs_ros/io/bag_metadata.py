@@ -8,7 +8,7 @@ from typing import Any, Iterable, Mapping, NamedTuple
 
 import yaml
 
-from .disk import replace_file
+from .disk import replacement
 from ..errors import RecordingError
 
 METADATA_FILE = 'metadata.yaml'
@@ -86,7 +86,8 @@ def to_yaml(value: Any) -> str:
 def write_information(directory: Path, information: Mapping[str, Any], synced: bool) -> None:
     """Replace `metadata.yaml` in one step."""
     text = to_yaml({'rosbag2_bagfile_information': information})
-    replace_file(directory / METADATA_FILE, text, synced)
+    with replacement(directory / METADATA_FILE, synced) as stream:
+        stream.write(text.encode())
 
 
 def read_information(directory: Path) -> dict[str, Any]:

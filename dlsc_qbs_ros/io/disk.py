@@ -7,7 +7,7 @@ import errno
 import fcntl
 import os
 from pathlib import Path
-from typing import Iterator, Sequence
+from typing import BinaryIO, Iterator, Sequence
 
 
 def write_all(descriptor: int, parts: Sequence[bytes], offset: int) -> None:
@@ -22,18 +22,20 @@ def write_all(descriptor: int, parts: Sequence[bytes], offset: int) -> None:
             views[0] = views[0][n_written:]
 
 
-def replace_file(path: Path, text: str, synced: bool) -> None:
-    """Replace a file in one step: at every moment the old one is there, or the new one."""
-    temporary = path.with_name(f'.{path.name}.new')
+@contextmanager
+def replacement(path: Path, synced: bool) -> Iterator[BinaryIO]:
+    """Open a file that replaces another in one step: the old or the new is always there."""
+    draft = Path(f'{path}.part')
     try:
-        with open(temporary, 'w', encoding='utf-8') as stream:
-            stream.write(text)
+        with open(draft, 'wb') as stream:
+            yield stream
             stream.flush()
             if synced:
                 os.fsync(stream.fileno())
-        os.replace(temporary, path)
+        os.replace(draft, path)
     except OSError:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            draft.unlink()
         raise
 
 

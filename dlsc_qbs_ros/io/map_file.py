@@ -9,16 +9,15 @@ and its directory comes last, so a file that was cut is none.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from io import BytesIO
 import json
-import os
 from pathlib import Path
 from typing import Any, Mapping
 import zipfile
 
 import numpy as np
 
+from .disk import replacement, sync
 from ..errors import MapError
 
 FORMAT = 'dlsc_qbs_ros map'
@@ -38,17 +37,11 @@ def write_map(path: Path, config: Mapping[str, Any], arrays: Mapping[str, np.nda
 
     """
     path = _expanded(path)
-    draft = Path(f'{path}.part')
     try:
-        with open(draft, 'wb') as stream:
+        with replacement(path, synced=True) as stream:
             _write_archive(stream, config, arrays)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(draft, path)
-        _sync_folder(path.parent)
+        sync(path.parent)
     except OSError as error:
-        with suppress(OSError):
-            draft.unlink()
         raise MapError(f'{path}: cannot be written: {error.strerror}') from error
 
 
@@ -141,12 +134,3 @@ def _content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
     if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size:
         raise MapError(f'member {info.filename!r} is compressed')
     return archive.read(info)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Let the new name be on the disk, too."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

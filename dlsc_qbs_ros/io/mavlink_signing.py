@@ -10,6 +10,7 @@ from pathlib import Path
 import stat
 import time
 
+from .disk import replacement
 from .mavlink_framing import dialect, Packet
 from ..errors import ConfigError
 
@@ -102,12 +103,9 @@ class Signing:
 
     def save(self) -> None:
         """Write the timestamps, whole or not at all."""
-        part = Path(f'{self._state_file}.part')
-        with open(part, 'w') as file:
-            json.dump({'timestamp': self._timestamp, 'streams': self._streams}, file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, self._state_file)
+        state = {'timestamp': self._timestamp, 'streams': self._streams}
+        with replacement(self._state_file, synced=True) as file:
+            file.write(json.dumps(state).encode())
 
 
 def _ticks_now() -> int:
