@@ -68,7 +68,6 @@ class Laplacian:
             self._diagonals.append(_diagonal(*links.T, stride, n))
             stride *= 2
         self._part = components(links, n_nodes)
-        self._weight = degree
 
     def solve(self, link_errors: np.ndarray) -> Iterator[None]:
         """
@@ -113,9 +112,10 @@ class Laplacian:
         return total
 
     def _mean(self, x: np.ndarray) -> np.ndarray:
-        weights = np.maximum(np.bincount(self._part, self._weight), 1.0)
+        degree = self._diagonals[0]
+        weights = np.maximum(np.bincount(self._part, degree), 1.0)
         return np.column_stack([
-            np.bincount(self._part, self._weight * column) / weights for column in x.T
+            np.bincount(self._part, degree * column) / weights for column in x.T
         ])[self._part]
 
 
