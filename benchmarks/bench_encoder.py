@@ -13,8 +13,6 @@ over the frames, `ms`, and that mean, the median and the worst frame in products
 from __future__ import annotations
 
 import json
-import os
-import sys
 import time
 from typing import Any, Callable, Mapping
 
@@ -30,9 +28,9 @@ from dlsc_qbs_ros.sim.simulation import simulate_flight
 from encoder_cases import (
     all_tasks, floor, MiniBatchDictionaryLearning, ours, ROOT, Task, variants, with_view)
 import numpy as np
+from one_thread import start_again_in_one_thread
 
 OUTPUT = ROOT / 'bench_output' / 'encoder.json'
-ONE_THREAD = dict.fromkeys(('OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS', 'OMP_NUM_THREADS'), '1')
 
 SECONDS = 60.0
 PASSES = 3
@@ -215,7 +213,5 @@ def main() -> None:
 
 
 if __name__ == '__main__':
-    # BLAS reads these as numpy is imported: start again with them.
-    if any(os.environ.get(name) != value for name, value in ONE_THREAD.items()):
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **ONE_THREAD})
+    start_again_in_one_thread()
     main()

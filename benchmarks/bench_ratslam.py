@@ -13,9 +13,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 import json
 from math import inf, pi
-import os
 from pathlib import Path
-import sys
 import time
 from typing import Any, Callable, Iterator
 
@@ -25,6 +23,7 @@ from dlsc_qbs_ros.core.types import Code, Dictionary, IDENTITY, OdometrySample, 
 from dlsc_qbs_ros.pipeline.code_book import CodeBook
 from dlsc_qbs_ros.pipeline.mapper import Mapper
 import numpy as np
+from one_thread import start_again_in_one_thread
 
 try:
     from dlsc_qbs_ros.ros.map_conversions import experience_map_to_cdr, path_to_cdr
@@ -32,7 +31,6 @@ except ImportError:  # no ROS here
     path_to_cdr = None
 
 OUTPUT = Path(__file__).parent.parent / 'bench_output' / 'ratslam.json'
-ONE_THREAD = dict.fromkeys(('OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS', 'OMP_NUM_THREADS'), '1')
 
 SIZES = (100, 1000, 5000, 20000)
 # The updates that a size is measured by: those of this share of it before it is reached.
@@ -191,7 +189,5 @@ def main() -> None:
 
 
 if __name__ == '__main__':
-    # BLAS reads these as numpy is imported: start again with them.
-    if any(os.environ.get(name) != value for name, value in ONE_THREAD.items()):
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **ONE_THREAD})
+    start_again_in_one_thread()
     main()
