@@ -88,12 +88,7 @@ def _fly(out: Path, flight: Path, link: str) -> None:
     autopilot = ('simulate', *FLIGHT, '--mavlink', f'udpout:{link}', *start_at)
     with _process(out / 'autopilot.log', *autopilot) as process:
         _run_tool('replay', flight, *start_at, '--topics', '/camera/image_raw', '/ground_truth')
-        try:
-            code = process.wait(STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired as error:
-            raise DlscQbsError(f'the autopilot flew on for {STOP_TIMEOUT_S} s') from error
-    if code != 0:
-        raise DlscQbsError(f'the autopilot ended with exit code {code}: see its log')
+        _await_end('the autopilot', process)
 
 
 def _say(text: str) -> None:
@@ -173,6 +168,11 @@ def _stop(name: str, process: subprocess.Popen) -> None:
     if process.poll() is not None:
         raise DlscQbsError(f'{name} died early with exit code {process.returncode}: see its log')
     process.send_signal(signal.SIGINT)
+    _await_end(name, process)
+
+
+def _await_end(name: str, process: subprocess.Popen) -> None:
+    """Wait for a process to end by itself, soon and well."""
     try:
         code = process.wait(STOP_TIMEOUT_S)
     except subprocess.TimeoutExpired as error:
