@@ -107,25 +107,34 @@ class LiveMap:
             When it is no map to go on from; the present one then stays.
 
         """
+        self.take_over(*self.restored(state))
+
+    def restored(self, state: dict[str, np.ndarray]) -> tuple[Mapper, dict[str, np.ndarray]]:
+        """Return what `take_over` goes on in; it takes long, and any thread may do it."""
         state = {name: np.asarray(array) for name, array in state.items()}
         map_state.check(state, self.config)
-        mapper, book = self._empty()
+        mapper = Mapper(self.config, self._measure)
         mapper.restore(state)
-        book.restore(state['view_cell_views'], [*map(Dictionary, state[
-            'dictionary_stamps_ns'].tolist(), state['dictionaries']), *self._book.newest])
         codes = state['view_cell_codes']
         mapper.view_cells.replace(codes if len(codes) else np.zeros(
-            (len(book.views), *self._code_shape), np.float32))
-        self._begin(mapper, book)
+            (len(state['view_cell_views']), *self._code_shape), np.float32))
+        return mapper, state
+
+    def take_over(self, mapper: Mapper, state: dict[str, np.ndarray]) -> None:
+        """Go on in what `restored` returned."""
+        mapper.is_mapping = self.mapper.is_mapping
+        mapper.reconfigure(self.config)
+        self._begin(mapper, state['view_cell_views'], [
+            *map(Dictionary, state['dictionary_stamps_ns'].tolist(), state['dictionaries']),
+            *self._book.newest])
         if not mapper.is_mapping:
             self._kept = state
 
     def reset(self) -> None:
         """Forget the map and begin another."""
-        mapper, book = self._empty()
-        book.restore(np.zeros((0, *self._view_shape), np.uint8), self._book.newest)
-        mapper.is_mapping, self._kept = True, None
-        self._begin(mapper, book)
+        self._kept = None
+        self._begin(Mapper(self.config, self._measure),
+                    np.zeros((0, *self._view_shape), np.uint8), self._book.newest)
 
     def keep_map(self, is_kept: bool) -> None:
         """Let the map stay as it is, to be localised in, or let it grow again."""
@@ -181,12 +190,9 @@ class LiveMap:
         self.codes_match = error <= self.CHECK_TOLERANCE * np.abs(code.values).max()
         self.counts['code_mismatches'] += not self.codes_match
 
-    def _empty(self) -> tuple[Mapper, CodeBook]:
-        mapper = Mapper(self.config, self._measure)
-        mapper.is_mapping = self.mapper.is_mapping
-        return mapper, CodeBook(self.config, self._executor, mapper.cells_of)
-
-    def _begin(self, mapper: Mapper, book: CodeBook) -> None:
+    def _begin(self, mapper: Mapper, views: np.ndarray, dictionaries: list[Dictionary]) -> None:
+        book = CodeBook(self.config, self._executor, mapper.cells_of)
+        book.restore(views, dictionaries)
         self._book.cancel()
         self.mapper, self._book = mapper, book
         self._follower = Follower(self.config, mapper)

@@ -9,14 +9,13 @@ from typing import Callable
 
 import numpy as np
 
-from .code_book import CodeBook
 from .live_map import LiveMap
 from .mapper import Mapper
 from .odometry import OdometryHistory
 from .stamps import CLOCK_JUMP_NS, StampOrder, Succession
 from ..config import Config
 from ..core.local_view import Measure
-from ..core.types import Code, OdometrySample, PoseEstimate, View
+from ..core.types import Code, Dictionary, OdometrySample, PoseEstimate, View
 
 
 class RatSlam(LiveMap):
@@ -107,8 +106,8 @@ class RatSlam(LiveMap):
         self._codes = deque(kept)
         self._due_ns = None
 
-    def _begin(self, mapper: Mapper, book: CodeBook) -> None:
-        super()._begin(mapper, book)
+    def _begin(self, mapper: Mapper, views: np.ndarray, dictionaries: list[Dictionary]) -> None:
+        super()._begin(mapper, views, dictionaries)
         self._due_ns = None
 
     def advance(self, now_s: float) -> list[PoseEstimate]:
