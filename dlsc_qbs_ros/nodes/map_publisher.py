@@ -34,6 +34,7 @@ class MapPublisher:
         self._stamp_ns: int | None = None
         self._is_news = False
         self._due_s = 0.0
+        self._mapper: Mapper | None = None
 
     def map_updated(self, stamp_ns: int) -> None:
         """Take in that the map changed, at a stamp."""
@@ -41,6 +42,9 @@ class MapPublisher:
 
     def publish(self, mapper: Mapper, frame_id: str) -> None:
         """Publish what is due: call this each `PERIOD_S`."""
+        self._look_at(mapper)
+        if self._stamp_ns is None:
+            return
         heard_by = [publisher.get_subscription_count() for publisher in self._publishers]
         is_wanted = [now > before for now, before in zip(heard_by, self._heard_by)]
         self._heard_by = heard_by
@@ -48,14 +52,22 @@ class MapPublisher:
             is_wanted = [count > 0 for count in heard_by]
             self._due_s = time.monotonic() + self.PER_EXPERIENCE_S * len(mapper.map)
             self._is_news = False
-        if self._stamp_ns is not None:
-            self._publish(mapper, frame_id, *is_wanted)
+        self._publish(mapper, frame_id, *is_wanted)
 
     def publish_last(self, mapper: Mapper, frame_id: str) -> None:
         """Publish the map for those to come, and wait for those who listen."""
+        self._look_at(mapper)
         if self._stamp_ns is not None:
             self._publish(mapper, frame_id, True, True)
             wait_until_received(self._publishers, LAST_WORDS_S)
+
+    def _look_at(self, mapper: Mapper) -> None:
+        """Notice another map, which was loaded or is empty again; nobody waits to see that."""
+        if mapper is self._mapper:
+            return
+        self._mapper, self._is_news, self._due_s = mapper, True, 0.0
+        if mapper.odometry is not None:
+            self._stamp_ns = mapper.odometry.stamp_ns
 
     def _publish(self, mapper: Mapper, frame_id: str, path: bool, markers: bool) -> None:
         graph = mapper.map

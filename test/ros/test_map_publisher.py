@@ -35,7 +35,7 @@ class Stand:
         monkeypatch.setattr(map_publisher, 'create_publisher',
                             lambda node, kind, topic, qos: self.topics[topic])
         monkeypatch.setattr(map_publisher.time, 'monotonic', lambda: self.now_s)
-        self.mapper = SimpleNamespace(map=ExperienceMap())
+        self.mapper = SimpleNamespace(map=ExperienceMap(), odometry=None)
         for k in range(n_experiences):
             self.mapper.map.add_experience(Pose2(k, 0.0, 0.0))
         self.publisher = MapPublisher(None)
@@ -92,3 +92,18 @@ def test_the_last_map_goes_out_whoever_listens(stand):
     stand.publisher.map_updated(1)
     stand.publisher.publish_last(stand.mapper, 'map')
     assert [len(topic.sent) for topic in stand.topics.values()] == [1, 1]
+
+
+def test_another_map_is_shown_at_once_and_so_is_an_empty_one(stand):
+    stand.publisher.map_updated(1)
+    assert stand.publish() == [1, 1]
+    loaded = ExperienceMap()
+    for k in range(3):
+        loaded.add_experience(Pose2(k, 0.0, 0.0))
+    stand.mapper = SimpleNamespace(map=loaded, odometry=SimpleNamespace(stamp_ns=9))
+    assert [stand.publish(), stand.publish()] == [[2, 2], [2, 2]]
+    path = deserialize(stand.topics[PATH].sent[-1], 'nav_msgs/msg/Path')
+    assert (path.header.stamp.nanosec, len(path.poses)) == (9, 3)
+    stand.mapper = SimpleNamespace(map=ExperienceMap(), odometry=None)
+    assert [stand.publish(), stand.publish()] == [[3, 3], [3, 3]]
+    assert not deserialize(stand.topics[PATH].sent[-1], 'nav_msgs/msg/Path').poses
