@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Callable
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+import numpy as np
 from rclpy.clock import Clock, ClockType
-from rclpy.task import Future as Promise
 from std_srvs.srv import SetBool, Trigger
 
+from .services import finished, offer
 from ..config import Config
-from ..errors import DlscQbsError, MapError, OdometryError
+from ..errors import MapError, OdometryError
 from ..io.map_file import is_there, read_map, write_map
 from ..pipeline.map_state import refuse_other, shaping
+from ..pipeline.mapper import Mapper
 from ..pipeline.ratslam import RatSlam
 from ..ros.conversions import initial_pose_from_msg
 from ..ros.managed_node import ManagedNode
@@ -24,7 +24,8 @@ class MapServices:
     """
     Serves a node's `~/save_map`, `~/load_map` and so on, and saves its map by itself.
 
-    Files are written by a thread, from a copy of the map that takes no time: updates go on.
+    Files are read and written by a thread, updates go on meanwhile: what is written is a copy of
+    the map that takes no time, what was read takes its place in one step.
     """
 
     # What a timer that does not run is made with.
@@ -32,20 +33,21 @@ class MapServices:
 
     def __init__(self, node: ManagedNode, ratslam: RatSlam, config: Config):
         self._node, self._ratslam, self._config = node, ratslam, config
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix='map_file')
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix='map_file')
         self._writing: Future | None = None
-        self._saved_codes = 0
+        # The codes used when the map last grew, and when it was as in the file that is its own.
+        self._grown_at = self._saved_at = 0
+        self._own_file = ''
+        self._has_ended = False
         # There before a thread counts: nobody who goes through the counts sees them grow.
         ratslam.counts['maps_not_saved'] += 0
         self._begin()
-        for service, serve in (
-                ('load_map', self._load), ('reset', self._reset),
-                ('pause', lambda: self._pause(True)), ('resume', lambda: self._pause(False))):
-            node.create_service(Trigger, f'~/{service}', _trigger(serve))
-        # In a group of its own, so that while it waits for the file everything else goes on.
-        node.create_service(Trigger, '~/save_map', self._serve_save,
-                            callback_group=MutuallyExclusiveCallbackGroup())
-        node.create_service(SetBool, '~/set_localization_mode', self._serve_mode)
+        for service, act in (
+                ('save_map', self._save_map), ('load_map', self._load_map),
+                ('reset', self._reset), ('pause', lambda: self._pause(True)),
+                ('resume', lambda: self._pause(False))):
+            offer(node, Trigger, service, act)
+        offer(node, SetBool, 'set_localization_mode', self._keep)
         node.create_subscription(
             PoseWithCovarianceStamped, 'initialpose', self._on_initial_pose, 1)
         # One for all intervals: what is made while active would go with that.
@@ -66,16 +68,18 @@ class MapServices:
 
     def stop(self) -> None:
         """Save what is new, if the map is to be saved at all, and end."""
+        self._has_ended = True
         if self._config.ratslam.autosave_s:
-            self._writer.submit(int).result()
+            self._worker.submit(int).result()
             self._autosave()
-        self._writer.shutdown()
+        self._worker.shutdown()
 
     def _begin(self) -> None:
         """Go on in the map of the file, where there is one."""
         settings = self._config.ratslam
         if self._has_file():
-            self._node.get_logger().info(self._load())
+            path = self._path()
+            self._node.get_logger().info(self._take_over(path, *self._read(path)))
         if settings.mode == 'localization':
             if not self._has_file():
                 raise MapError(f'ratslam.mode = localization: ratslam.map_file '
@@ -91,33 +95,58 @@ class MapServices:
             raise MapError('ratslam.map_file is empty: set it to a path')
         return self._config.ratslam.map_file
 
-    def _load(self) -> str:
-        path = self._path()
+    def _read(self, path: str) -> tuple[Mapper, dict[str, np.ndarray]]:
+        """Return what the map is gone on with."""
         config, state = read_map(path)
         try:
             refuse_other(config, self._ratslam.config)
-            self._ratslam.restore(state)
+            return self._ratslam.restored(state)
         except MapError as error:
             raise MapError(f'{path}: {error}') from error
-        return f'{path}: {len(self._ratslam.mapper.map)} experiences'
+
+    def _take_over(self, path: str, mapper: Mapper, state: dict[str, np.ndarray]) -> str:
+        if self._has_ended:
+            raise MapError('the map has ended meanwhile')
+        self._ratslam.take_over(mapper, state)
+        self._grown_at = self._saved_at = self._ratslam.counts['codes_used']
+        self._own_file = path
+        return f'{path}: {len(mapper.map)} experiences'
+
+    async def _load_map(self) -> str:
+        path = self._path()
+        return self._take_over(path, *await finished(self._worker.submit(self._read, path)))
+
+    async def _save_map(self) -> str:
+        return await finished(self._save())
 
     def _save(self) -> Future:
         """Hand a copy of the map to the thread that writes it."""
-        path, state, config = self._path(), self._ratslam.state(), shaping(self._ratslam.config)
-        self._saved_codes = self._ratslam.counts['codes_used']
-        return self._writer.submit(write_map, path, config, state)
+        self._note_growth()
+        return self._worker.submit(
+            self._write, self._path(), self._ratslam.state(), self._grown_at)
+
+    def _write(self, path: str, state: dict[str, np.ndarray], grown_at: int) -> str:
+        write_map(path, shaping(self._ratslam.config), state)
+        self._saved_at, self._own_file = grown_at, path
+        return path
+
+    def _note_growth(self) -> None:
+        if self._ratslam.mapper.is_mapping:
+            self._grown_at = self._ratslam.counts['codes_used']
 
     def _autosave(self) -> None:
         """Save a map that has grown since it last was saved, unless that is still under way."""
-        if (self._ratslam.counts['codes_used'] == self._saved_codes
-                or not self._ratslam.mapper.is_mapping or self._ratslam.mapper.place is None
-                or self._writing is not None and not self._writing.done()):
+        self._note_growth()
+        is_writing = self._writing is not None and not self._writing.done()
+        if self._grown_at == self._saved_at or self._ratslam.mapper.place is None or is_writing:
             return
         self._save_aside()
 
     def _save_aside(self) -> None:
-        """Save the map, and say so if that goes wrong."""
+        """Save the map where no other is, and say so if that goes wrong."""
         try:
+            if self._path() != self._own_file and self._has_file():
+                raise MapError(f'{self._path()} holds another: call save_map or load_map')
             self._writing = self._save()
         except MapError as error:
             self._complain(error)
@@ -130,21 +159,9 @@ class MapServices:
             self._node.get_logger().error(
                 f'map not saved: {error}', throttle_duration_sec=10.0)
 
-    async def _serve_save(self, request, response):
-        try:
-            writing, written = self._save(), Promise()
-            writing.add_done_callback(written.set_result)
-            (await written).result()
-            response.success, response.message = True, self._path()
-        except DlscQbsError as error:
-            response.message = str(error)
-        return response
-
-    def _serve_mode(self, request, response):
-        return _trigger(lambda: self._keep(request.data))(request, response)
-
     def _keep(self, is_kept: bool) -> str:
         has_grown = self._ratslam.mapper.is_mapping
+        self._note_growth()
         self._ratslam.keep_map(is_kept)
         if is_kept and has_grown and self._config.ratslam.autosave_s:
             self._save_aside()  # the last growth that there is to save
@@ -168,13 +185,3 @@ class MapServices:
         except OdometryError as error:
             self._node.get_logger().warning(f'initialpose refused: {error}')
 
-
-def _trigger(serve: Callable[[], str]):
-    """Return a service's callback that says what was done, or why not."""
-    def callback(request, response):
-        try:
-            response.message, response.success = serve(), True
-        except DlscQbsError as error:
-            response.message = str(error)
-        return response
-    return callback

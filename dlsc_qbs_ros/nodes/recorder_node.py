@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from contextlib import ExitStack
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 import sys
-from typing import Sequence
+from typing import Callable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
+from std_srvs.srv import Trigger
 
 from .arrival_clock import ArrivalClock
 from .recorder_arguments import parameters_from
 from .recorder_files import attachments_of, Repairs
 from .recorder_report import RecorderReport
 from .recorder_selection import TopicSelection
-from .recorder_services import offer_triggers
 from .recorder_text import show
 from .recorder_topics import RecorderTopics
+from .services import finished, offer
 from ..config import Config
 from ..io.recording import Recording
 from ..ros.diagnostics import PERIOD_S
@@ -61,11 +64,12 @@ class RecorderNode(ManagedNode):
         undo.callback(self._finish)
         for attachment in attachments:
             self._recording.attach(*attachment)
-        offer_triggers(self, self._record, {
-            'pause': (lambda: self._pause(True), 'paused'),
-            'resume': (lambda: self._pause(False), 'resumed'),
-            'split': (self._recording.split, 'the next message begins a file'),
-            'snapshot': (self._recording.snapshot, 'written')})
+        for name, act, answer in (
+                ('pause', lambda: self._pause(True), 'paused'),
+                ('resume', lambda: self._pause(False), 'resumed'),
+                ('split', self._recording.split, 'the next message begins a file'),
+                ('snapshot', self._recording.snapshot, 'written')):
+            offer(self, Trigger, name, partial(self._serve, act, answer))
         self.get_logger().info(f'recording into {directory}')
 
     def activate(self, undo: ExitStack) -> None:
@@ -81,6 +85,14 @@ class RecorderNode(ManagedNode):
 
     def _pause(self, is_paused: bool) -> None:
         self._is_paused = is_paused
+
+    async def _serve(self, act: Callable[[], Future | None], answer: str) -> str:
+        """Do something after what has arrived by now; answer when it is done."""
+        self._record()
+        work = act()
+        if work is not None:
+            await finished(work)
+        return answer
 
     def _discover(self) -> None:
         if not self._is_waiting_for_clock():

@@ -11,7 +11,7 @@ from typing import Callable, Sequence
 
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import InvalidHandle, ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 import rclpy.utilities
@@ -88,7 +88,10 @@ def spin(node: ManagedNode, stop: StopRequest) -> None:
     try:
         node.start()
         while not stop.received:
-            executor.spin_once()
+            try:
+                executor.spin_once()
+            except InvalidHandle:  # the answer of a service that was taken back meanwhile
+                node.get_logger().warning('a service that is gone has not answered')
     finally:
         executor.shutdown()
         node.destroy_node()

@@ -7,7 +7,9 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -158,3 +160,31 @@ def observer(domain_id):
     observer = Observer(domain_id)
     yield observer
     observer.close()
+
+
+@pytest.fixture
+def spinning(domain_id):
+    """Give a function that makes a managed node, with ROS arguments, and spins it beside."""
+    from dlsc_qbs_ros.ros.runtime import spin
+    import rclpy
+    stop, threads, errors = SimpleNamespace(received=False), [], []
+
+    def run(node):
+        try:
+            spin(node, stop)
+        except Exception as error:
+            errors.append(error)
+
+    def start_spinning(node_class, *ros_args):
+        rclpy.init(args=['--ros-args', *map(str, ros_args)], domain_id=domain_id,
+                   signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+        node = node_class()
+        threads.append(threading.Thread(target=run, args=(node,), daemon=True))
+        threads[-1].start()
+        return node
+    yield start_spinning
+    stop.received = True
+    for thread in threads:
+        thread.join(TIMEOUT_S)
+    rclpy.shutdown()
+    assert errors == []

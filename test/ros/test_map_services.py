@@ -2,11 +2,18 @@
 
 from dataclasses import replace
 from math import inf
+import threading
+import time
+from unittest.mock import Mock
 
 from diagnostic_msgs.msg import DiagnosticArray
 from dlsc_qbs_ros.core.geometry import compose
 from dlsc_qbs_ros.core.types import Code, Dictionary, OdometrySample, Pose2, View
-from dlsc_qbs_ros.io.map_file import read_map
+from dlsc_qbs_ros.io.map_file import read_map, write_map
+from dlsc_qbs_ros.nodes import map_services
+from dlsc_qbs_ros.nodes.map_services import MapServices
+from dlsc_qbs_ros.nodes.ratslam_node import RatSlamNode
+from dlsc_qbs_ros.pipeline.map_state import shaping
 from dlsc_qbs_ros.pipeline.ratslam import RatSlam
 from dlsc_qbs_ros.pipeline.runner import encode
 from dlsc_qbs_ros.profiles import to_yaml
@@ -14,7 +21,7 @@ from dlsc_qbs_ros.ros.conversions import (
     code_to_msg, dictionary_to_msg, odometry_to_msg, view_to_msg)
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from loop_flight import CONFIG, events, LAP_S
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import Odometry, Path
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy
@@ -202,6 +209,107 @@ def test_what_grew_since_it_was_saved_is_saved_before_the_map_is_kept_and_nothin
     assert drone.process.stop() == 0
     assert len(read_map(path)[1]['experience_poses']) >= n > 0
     assert 'map not saved' not in drone.process.text()
+
+
+@pytest.fixture
+def keeper(flight):
+    """Give a function that keeps a map in a file: its services, and what its timer calls."""
+    def keep(path):
+        node = Mock()
+        services = MapServices(node, flown(flight), CONFIG.override(
+            {'ratslam.map_file': str(path), 'ratslam.autosave_s': 3600.0}))
+        return services, node.create_timer.call_args.args[1], node.get_logger().error
+    return keep
+
+
+def until_called(mock):
+    until_s = time.monotonic() + 30.0
+    while not mock.called and time.monotonic() < until_s:
+        time.sleep(0.001)
+    return str(mock.call_args)
+
+
+def test_a_map_that_could_not_be_saved_is_saved_in_the_end(keeper, tmp_path):
+    path = tmp_path / 'none' / 'hall.map'
+    services, autosave, error = keeper(path)
+    autosave()
+    assert 'No such file or directory' in until_called(error)
+    path.parent.mkdir()
+    services.stop()
+    assert path.exists()
+
+
+def test_a_map_that_was_saved_as_it_is_is_not_saved_again(keeper, tmp_path, monkeypatch):
+    path = tmp_path / 'hall.map'
+    services, autosave, error = keeper(path)
+    write = Mock(side_effect=write_map)
+    monkeypatch.setattr(map_services, 'write_map', write)
+    autosave()
+    services.stop()
+    assert (write.call_count, error.called) == (1, False)
+
+
+def test_no_map_but_its_own_is_written_over_unasked(keeper, tmp_path):
+    hall, yesterday = tmp_path / 'hall.map', tmp_path / 'yesterday.map'
+    yesterday.write_bytes(b'yesterday')
+    services, autosave, error = keeper(hall)
+    services.reconfigure(CONFIG.override(
+        {'ratslam.map_file': str(yesterday), 'ratslam.autosave_s': 3600.0}))
+    autosave()
+    assert f'{yesterday} holds another: call save_map or load_map' in until_called(error)
+    services.stop()
+    assert yesterday.read_bytes() == b'yesterday'
+
+
+@pytest.fixture
+def slow_reader(spinning, observer, tmp_path, monkeypatch, flight):
+    """Give an event: only then, or when it ends, a node reads a map."""
+    path, may_read, stop = tmp_path / 'hall.map', threading.Event(), MapServices.stop
+    write_map(path, shaping(PATIENT), flown(flight).state())
+    monkeypatch.setattr(map_services, 'read_map', lambda path: may_read.wait() and read_map(path))
+    monkeypatch.setattr(MapServices, 'stop', lambda self: (may_read.set(), stop(self)))
+    (tmp_path / 'drone.yaml').write_text(to_yaml(PATIENT))
+    spinning(RatSlamNode, '--params-file', tmp_path / 'drone.yaml')
+    assert observer.set_parameters('ratslam', ratslam__map_file=str(path)) == ''
+    return may_read
+
+
+def load(observer):
+    """Ask for the map and do not wait for it."""
+    client = observer.node.create_client(Trigger, 'ratslam/load_map')
+    observer.spin_until(client.service_is_ready)
+    return client.call_async(Trigger.Request())
+
+
+def test_while_a_map_is_read_poses_go_on_and_then_it_is_shown_at_once(
+        slow_reader, observer, flight, n_experiences):
+    odometry = observer.advertise(Odometry, 'odom')
+    poses = observer.collect(PoseWithCovarianceStamped, 'pose')
+    paths = observer.collect(Path, 'path', depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    answer = load(observer)
+    samples = (event for event in flight if isinstance(event, OdometrySample))
+
+    def are_coming():
+        odometry.publish(TO_MSG[OdometrySample][1](next(samples)))
+        return len(poses) > 5
+    observer.spin_until(are_coming)
+    assert not answer.done()
+    assert paths == []
+    slow_reader.set()
+    observer.spin_until(answer.done)
+    assert f'{n_experiences} experiences' in answer.result().message
+    observer.spin_until(lambda: paths)
+    assert len(paths[-1].poses) == n_experiences
+    assert observer.call(Trigger, 'ratslam/reset').success
+    observer.spin_until(lambda: not paths[-1].poses)
+
+
+def test_a_map_that_is_read_when_its_node_is_cleaned_up_is_let_go(slow_reader, observer):
+    load(observer)
+    assert observer.transition('ratslam', 'deactivate')
+    assert observer.transition('ratslam', 'cleanup')
+    assert observer.transition('ratslam', 'configure')
+    assert observer.call(Trigger, 'ratslam/pause').success
 
 
 def test_what_cannot_be_done_is_refused_in_words_and_the_map_goes_on(
