@@ -272,6 +272,14 @@ def test_a_tcp_line_that_the_other_side_closes_is_an_error():
                 line.receive()
 
 
+def test_nobody_waits_for_the_other_side_of_a_tcp_line_to_read():
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        with closing(connector(f'tcp:127.0.0.1:{server.getsockname()[1]}')()) as line:
+            with pytest.raises(BlockingIOError):
+                for _ in range(1000):
+                    line.send(bytes(100_000))
+
+
 def test_tries_follow_each_other_so_that_odometry_is_back_within_a_second(monkeypatch):
     class Stopping:
         waits_s = []

@@ -139,6 +139,7 @@ class _Tcp(_Socket):
     def __init__(self, host: str, port: int):
         super().__init__(socket.create_connection((host, port), CONNECT_TIMEOUT_S))
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setblocking(False)
 
     def receive(self) -> bytes:
         data = self._socket.recv(_MAX_DATAGRAM)
@@ -147,7 +148,9 @@ class _Tcp(_Socket):
         return data
 
     def send(self, data: bytes) -> None:
-        self._socket.sendall(data)
+        # Where there is no room, seconds wait for the other side already: nobody waits with them.
+        if self._socket.send(data) < len(data):
+            raise BlockingIOError('the other side does not read')
 
 
 class _Serial:
