@@ -127,6 +127,32 @@ def test_one_autopilot_is_believed_and_others_are_foreign(config, senders, belie
     assert flight.counts == {}
 
 
+def test_who_takes_the_place_of_an_autopilot_that_fell_silent_is_believed_in_its_own_segment():
+    flight = Flight()
+    flight.run(2.0, flies, grants)
+    n_samples, flight.peer = len(flight.samples), Peer(2, 1)
+    flight.run(9.9, flies)
+    assert len(flight.samples) == n_samples
+    assert asked_for(flight.run(0.2, flies, grants)) == [331]
+    flight.run(1.0, flies)
+    assert flight.companion.state()['mavlink_autopilot'] == '2/1'
+    assert flight.companion.condition(flight.time_s) == 'up'
+    assert len({raw.sample.segment for raw in flight.samples}) == 2
+    assert len(flight.samples) - n_samples >= 20
+    assert flight.counts == {'mavlink_autopilots_replaced': 1}
+
+
+def test_an_autopilot_that_is_heard_keeps_its_place():
+    flight = Flight()
+    for _ in range(30):
+        flight.run(0.5, beats)
+        flight.receive(heartbeat(), peer=Peer(2, 1))
+    flight.run(0.5, beats)
+    flight.clock_step_ns = 3600 * S  # which is no silence
+    flight.receive(heartbeat(), peer=Peer(2, 1))
+    assert flight.companion.state()['mavlink_autopilot'] == '1/1'
+
+
 def test_odometry_is_asked_for_at_the_rate_of_the_configuration_until_it_is_granted():
     flight = Flight(rate_hz=50.0)
     said = flight.run(3.0, flies, grants)

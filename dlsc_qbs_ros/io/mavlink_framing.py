@@ -103,7 +103,7 @@ class Framer:
 
 class SequenceCounter:
     """
-    Losses of one sender, whose packets are numbered from 0 to 255 and round again.
+    Losses of one sender at a time, whose packets are numbered from 0 to 255 and round again.
 
     A step of more than 128 is no loss but a late packet, which was counted as lost before.
     """
@@ -112,6 +112,10 @@ class SequenceCounter:
         self.lost = 0
         self.reordered = 0
         self._last: int | None = None
+
+    def restart(self) -> None:
+        """Take in that the next packet is of another sender."""
+        self._last = None
 
     def observe(self, packet: Packet) -> None:
         """Take the number of the next packet; an unknown one's only where it is expected."""

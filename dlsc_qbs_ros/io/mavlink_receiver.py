@@ -12,6 +12,11 @@ from .mavlink_signing import Signing
 from ..config import MavlinkConfig
 from ..core.types import RawOdometry
 
+# Who is silent for so long, while another beats so often, has been replaced.
+SILENCE_NS = 10_000_000_000
+N_BEATS = 5
+REPLACED = 'mavlink_autopilots_replaced'
+
 
 def _ignore(message: dialect.MAVLink_message) -> None:
     pass
@@ -21,6 +26,7 @@ class Receiver:
     """
     Believes one autopilot: the first whose HEARTBEAT fits the configuration.
 
+    Once that one has fallen silent for long, another may take its place: that is another segment.
     Other messages of it go to `on_message` as well; with `signing`, nothing unsigned is believed.
     """
 
@@ -35,6 +41,8 @@ class Receiver:
         self._assembler = OdometryAssembler(self.clock)
         self._counts: Counter[str] = Counter()
         self.autopilot: tuple[int, int] | None = None
+        self._heard_ns = 0
+        self._beats: Counter[tuple[int, int]] = Counter()  # of others, since it was heard
         self.foreign = 0
         self.unknown = 0
         self.accepted = 0
@@ -56,11 +64,13 @@ class Receiver:
             self._counts[refusal] += 1
             return
         sender = packet.system, packet.component
-        if self.autopilot is None and self._is_wanted(packet):
-            self.autopilot = sender
+        if sender != self.autopilot and self._is_wanted(packet):
+            self._consider(sender, arrival_ns)
         if sender != self.autopilot:
             self.foreign += 1
             return
+        self._heard_ns = arrival_ns
+        self._beats.clear()
         self._sequence.observe(packet)
         if packet.message is None:
             self.unknown += 1
@@ -84,6 +94,16 @@ class Receiver:
             'mavlink_unknown': self.unknown,
             'odometry_sigma_m': self._assembler.position_sigma_m,
             **self.clock.state(now_ns)}
+
+    def _consider(self, sender: tuple[int, int], arrival_ns: int) -> None:
+        """Believe another from now on, if nobody is, or who was believed is gone."""
+        self._beats[sender] += 1
+        if self.autopilot is None:
+            self.autopilot = sender
+        elif self._beats[sender] >= N_BEATS and arrival_ns - self._heard_ns > SILENCE_NS:
+            self.autopilot = sender
+            self._sequence.restart()
+            self.clock.jump(REPLACED)
 
     def _is_wanted(self, packet: Packet) -> bool:
         message = packet.message
