@@ -301,6 +301,44 @@ def test_the_metadata_never_list_a_file_that_is_deleted(tmp_path, monkeypatch):
     assert deleted == ['flight_0.mcap', 'flight_1.mcap', 'flight_2.mcap']
 
 
+def test_each_file_begins_with_what_is_latched(record):
+    recording = record(max_files=2)
+    send(recording, [0, 1], topic='/b')
+    for k in range(10, 16, 2):
+        send(recording, [k, k + 1])
+        recording.split().result(TIMEOUT_S)
+    send(recording, [2], topic='/b')
+    recording.close()
+    assert [numbers_of(path) for path in files_of(recording)] == [[1, 14, 15], [1, 2]]
+    assert sorted(numbers_of(recording.directory)) == [1, 2, 14, 15]
+    repeated = next(read_bag(files_of(recording)[0]))
+    assert (repeated.publish_time_ns, repeated.log_time_ns) == (1001, 1014)
+    assert {name: count.written for name, count in recording.status().topics.items()} == {
+        '/a': 6, '/b': 3}
+    files = information_of(recording)['files']
+    assert [file['message_count'] for file in files] == [3, 2]
+
+
+def test_of_a_latched_topic_as_many_messages_are_repeated_as_it_has_publishers(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        for offers in (LATCHED, [*LATCHED, {'durability': 'volatile'}, *LATCHED], LATCHED):
+            writer.add_topic('/tf_static', TYPE, offers)
+        for k in range(3):
+            writer.write('/tf_static', note(k), k, k)
+        writer.split()
+        writer.write('/tf_static', note(3), 3, 3)
+    assert numbers_of(tmp_path / 'bag' / 'bag_1.mcap') == [1, 2, 3]
+
+
+def test_what_is_latched_never_fills_a_file(record):
+    recording = record(max_bytes=50 * KB)
+    send(recording, [0], topic='/b', n_bytes=30 * KB)
+    send(recording, range(1, 11), n_bytes=10 * KB)
+    recording.close()
+    assert numbers_of(recording.directory) == list(range(11))
+    assert len(files_of(recording)) == 4
+
+
 def test_a_snapshot_is_the_last_seconds_in_a_file_of_their_own(record):
     recording = record(snapshot_s=1.0)
     assert recording.status().state == 'snapshot'
@@ -322,10 +360,15 @@ def test_a_snapshot_has_the_last_message_of_a_latched_topic_however_old(record):
     recording = record(snapshot_s=1.0)
     send(recording, [0, 1], topic='/b')
     send(recording, range(100, 103), period_ns=100_000_000)
-    for _ in range(2):
+    for more in ([], [103]):
+        send(recording, more, period_ns=100_000_000)
         recording.snapshot().result(TIMEOUT_S)
     recording.close()
-    assert [numbers_of(path) for path in files_of(recording)] == [[1, 100, 101, 102], [1]]
+    assert [numbers_of(path) for path in files_of(recording)] == [[1, 100, 101, 102], [1, 103]]
+    for path in files_of(recording):
+        first, second = list(read_bag(path))[:2]
+        assert first.log_time_ns == second.log_time_ns  # nobody who plays it waits in between
+    assert recording.status().total == (4, 0, 0)
 
 
 def test_a_latched_message_that_is_recent_is_written_once(record):
@@ -410,6 +453,20 @@ def test_on_a_full_disk_all_that_was_taken_is_in_a_whole_file(record, tmp_path, 
     assert close(recording) == f'{recording.directory}: ended: No space left on device'
     assert numbers_of(recording.directory) == taken
     assert_all_accounted_for(recording, offered)
+
+
+@pytest.mark.parametrize('room', range(1 * MB, 2 * MB, 234_567))
+def test_the_counts_hold_where_a_disk_ends_a_file_that_repeats(
+        record, tmp_path, monkeypatch, room):
+    SmallDisk(tmp_path / 'flight', monkeypatch, room, errno.EIO)
+    recording = record(max_bytes=200 * KB)
+    recording.add_topic('/a', TYPE, LATCHED)
+    offered = range(200)
+    send(recording, offered, n_bytes=30_000)
+    assert 'Input/output error' in close(recording)
+    counts = recording.status().topics['/a']
+    assert sum(counts) == len(offered)
+    assert numbers_of(recording.directory) == list(offered[:counts.written])
 
 
 def test_without_more_room_the_last_messages_give_way_to_the_index(record, tmp_path, monkeypatch):
@@ -624,7 +681,7 @@ def test_a_clock_that_falls_back_begins_a_file(tmp_path):
 def test_a_snapshot_holds_the_last_seconds_also_of_a_clock_that_fell_back():
     buffer = SnapshotBuffer(5.0, 2**20)
     for time_s in (*range(100), *range(50)):
-        buffer.add(QueuedMessage('/a', b'', time_s * 10**9, 0, 0), False)
+        buffer.add(QueuedMessage('/a', b'', time_s * 10**9, 0, 0))
     assert [message.log_time_ns // 10**9 for message in buffer.take()] == list(range(44, 50))
 
 

@@ -25,6 +25,8 @@ def read_bag(path: Path, topics: Collection[str] | None = None) -> Iterator[BagM
     """
     Read a file or rosbag2 folder, anybody's, several files too, in the order of log times.
 
+    What each file of ours begins with, because it was latched in one before, is read once.
+
     A file whose end is missing is read up to the cut, in the order it was written, and a warning
     names it.
 
@@ -41,9 +43,21 @@ def read_bag(path: Path, topics: Collection[str] | None = None) -> Iterator[BagM
             raise RecordingError(
                 f'{path}: no topic {topic!r}; it has {", ".join(sorted(present)) or "none"}')
     wanted = set(present if topics is None else topics)
-    yield from heapq.merge(
-        *(file_messages(file_path, wanted) for file_path in _files(path)),
-        key=lambda message: message.log_time_ns)
+    files = _files(path)
+    messages = heapq.merge(*(file_messages(file_path, wanted) for file_path in files),
+                           key=lambda message: message.log_time_ns)
+    yield from messages if len(files) == 1 else _once(messages, latched_topics(path))
+
+
+def _once(messages: Iterator[BagMessage], latched: Collection[str]) -> Iterator[BagMessage]:
+    seen = set()
+    for message in messages:
+        if message.topic in latched:
+            identity = hash((message.topic, message.publish_time_ns, message.data))
+            if identity in seen:
+                continue
+            seen.add(identity)
+        yield message
 
 
 def _topics(path: Path) -> dict[str, RecordedTopic]:

@@ -44,6 +44,11 @@ class BagFile:
         return self._writer.size_bytes
 
     @property
+    def is_empty(self) -> bool:
+        """Return whether no message was taken in yet."""
+        return self._first_ns is None
+
+    @property
     def counts(self) -> Counter[str]:
         """Return the messages on the disk, by topic."""
         return +Counter({topic: self._writer.counts[channel]
@@ -73,7 +78,7 @@ class BagFile:
     def has_place(self, n_bytes: int, log_time_ns: int, max_bytes: int, max_duration_s: float
                   ) -> bool:
         """Tell whether a message may go in, as the first may; a limit of 0 is none."""
-        if self._first_ns is None:
+        if self.is_empty:
             return True
         size_bytes = (self.size_bytes + self._writer.pending_bytes + n_bytes
                       + self._writer.index_bytes

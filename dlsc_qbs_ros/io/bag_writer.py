@@ -14,6 +14,7 @@ from .bag_metadata import (
     bag_information, FileSummary, METADATA_FILE, to_yaml, topic_metadata, write_information)
 from .ballast import Ballast
 from .disk import locked, sync
+from .latched import Latched, LatchedMessage
 from .message_definitions import schema, type_hash
 from ..config import RecorderConfig
 from ..errors import RecordingError
@@ -22,6 +23,9 @@ from ..errors import RecordingError
 class BagWriter:
     """
     Write one rosbag2 folder: `<name>_0.mcap` and its successors, and `metadata.yaml`.
+
+    Each file begins with what is latched, so that it can be read alone; that counts once, where it
+    was written first.
 
     A context manager. One thread owns it; `sync` and `tidy` may run on one other. A full disk
     makes itself known by `shortage`; what comes then goes into room held back for the end. Where
@@ -56,11 +60,13 @@ class BagWriter:
         self._changed = self.tidy if changed is None else changed
         self._topics: dict[str, dict[str, Any]] = {}
         self._attachments: list[Attachment] = []
-        self._lock = threading.Lock()  # of the five below
+        self._latched = Latched()
+        self._lock = threading.Lock()  # of the six below
         self._file: BagFile | None = None
         self._finished: list[FileSummary] = []
         self._unsynced: list[Path] = []
         self._finished_counts: Counter[str] = Counter()
+        self._repeated: Counter[str] = Counter()
         self._finished_bytes = self._n_accepted = 0
         self._closed = False
         self._held = ExitStack()
@@ -88,7 +94,8 @@ class BagWriter:
     def counts(self) -> Counter[str]:
         """Return the messages on the disk, and those that the ring has deleted, by topic."""
         with self._lock:
-            return self._finished_counts + (self._file.counts if self._file else Counter())
+            in_file = self._file.counts if self._file else Counter()
+            return self._finished_counts + in_file - self._repeated
 
     @property
     def byte_count(self) -> int:
@@ -112,6 +119,7 @@ class BagWriter:
         """
         schema(type_name)
         is_new = topic not in self._topics
+        self._latched.announce(topic, offered_qos)
         self._topics[topic] = topic_metadata(topic, type_name, offered_qos, type_hash(type_name))
         with self._writing():
             if self._file is not None and is_new:
@@ -137,8 +145,17 @@ class BagWriter:
                     len(data), log_time_ns, self._config.max_bytes, self._config.max_duration_s):
                 self._finish()
             file = self._opened()
+            if file.is_empty:
+                repeated = self._latched.begin(file, log_time_ns, self._config.max_bytes)
+                with self._lock:
+                    self._repeated += repeated
             self._n_accepted += 1
             file.write(topic, data, log_time_ns, publish_time_ns, sequence)
+        self._latched.keep(LatchedMessage(topic, data, publish_time_ns, sequence))
+
+    def pass_over(self, topic: str, data: bytes, log_time_ns: int, *rest: int) -> None:
+        """Take in a message that is only for what follows, where it is latched for that."""
+        self._latched.keep(LatchedMessage(topic, data, *rest))
 
     def flush(self) -> None:
         """Hand all messages to the operating system: no crash of this process loses them."""

@@ -57,7 +57,7 @@ class Recording:
         if config.snapshot_s:
             self._buffer = SnapshotBuffer(config.snapshot_s, config.snapshot_bytes)
             self._ledger.meant = Counter()
-        self._is_latched: dict[str, bool] = {}
+        self._announced: set[str] = set()
         self._has_failed = self._is_closed = False
         changed = threading.Event()
         self._bag = BagWriter(directory, config, self._last_words, changed.set)
@@ -88,8 +88,7 @@ class Recording:
 
         """
         schema(type_name)
-        self._is_latched[topic] = any(
-            profile.get('durability') == 'transient_local' for profile in offered_qos)
+        self._announced.add(topic)
         self._inbox.do(self._bag.add_topic, topic, type_name, offered_qos)
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int,
@@ -99,7 +98,7 @@ class Recording:
 
         Return False when it is refused, and counted: the queue is full or the recording ended.
         """
-        if topic not in self._is_latched:
+        if topic not in self._announced:
             raise RecordingError(f'{topic}: a message of a topic that was not announced')
         return self._inbox.put(QueuedMessage(  # MCAP knows no time before its epoch
             topic, data, max(log_time_ns, 0), max(publish_time_ns, 0), sequence))
@@ -177,7 +176,8 @@ class Recording:
             if self._buffer is None:
                 self._bag.write(*item)
             else:
-                self._buffer.add(item, self._is_latched[item.topic])
+                for forgotten in self._buffer.add(item):
+                    self._bag.pass_over(*forgotten)
         self._inbox.handled(n_bytes)
 
     def _run_task(self, task: Task) -> None:

@@ -1,0 +1,59 @@
+"""What whoever comes late is told of latched topics: their last messages."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from itertools import chain
+from math import inf
+from typing import Any, Mapping, NamedTuple, Sequence
+
+from .bag_file import BagFile
+
+
+class LatchedMessage(NamedTuple):
+    """A serialised message that is still valid when others follow."""
+
+    topic: str
+    data: bytes
+    publish_time_ns: int
+    sequence: int
+
+
+class Latched:
+    """
+    The last messages of each latched topic, as many as it has publishers that latch.
+
+    Nothing tells who published a message; where each has spoken once, as those of static
+    transforms have, none is missing.
+    """
+
+    def __init__(self):
+        self._messages: dict[str, deque[LatchedMessage]] = {}
+
+    def announce(self, topic: str, offered_qos: Sequence[Mapping[str, Any]]) -> None:
+        """Take in what the publishers of a topic offer; those who have gone stay valid."""
+        n_latched = sum(qos.get('durability') == 'transient_local' for qos in offered_qos)
+        before = self._messages.get(topic, deque(maxlen=0))
+        if n_latched > before.maxlen:
+            self._messages[topic] = deque(before, n_latched)
+
+    def keep(self, message: LatchedMessage) -> None:
+        """Take in a message, if its topic is latched."""
+        if message.topic in self._messages:
+            self._messages[message.topic].append(message)
+
+    def begin(self, file: BagFile, log_time_ns: int, max_bytes: int) -> Counter[str]:
+        """
+        Begin a file with what a subscriber that comes now is told; return how much, by topic.
+
+        What half a file has no room for is left out, or none would have room for more; 0 is no
+        bound.
+        """
+        room_bytes, begun = max_bytes // 2 or inf, Counter()
+        for topic, data, *rest in chain.from_iterable(self._messages.values()):
+            if len(data) <= room_bytes:
+                room_bytes -= len(data)
+                file.write(topic, data, log_time_ns, *rest)
+                begun[topic] += 1
+        file.flush()
+        return begun
