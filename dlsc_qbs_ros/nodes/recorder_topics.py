@@ -27,6 +27,7 @@ class RecorderTopics:
     def __init__(self, node: Node, recording: Recording, selection: TopicSelection,
                  overrides: Overrides):
         self.refused: dict[str, str] = {}
+        self._undecided: set[str] = set()  # of these, those that only now have several types
         self._node = node
         self._recording = recording
         self._selection = selection
@@ -35,13 +36,13 @@ class RecorderTopics:
 
     def discover(self) -> None:
         """Listen to topics that are new, and anew where publishers changed what they offer."""
-        for topic, types in self._node.get_topic_names_and_types():
-            if topic not in self._selection or topic in self.refused:
+        for topic, _ in self._node.get_topic_names_and_types():
+            if topic not in self._selection or topic in self.refused.keys() - self._undecided:
                 continue
             offers = self._node.get_publishers_info_by_topic(topic)
             if offers:
                 try:
-                    self._record(topic, types, offers)
+                    self._record(topic, offers)
                 except RecordingError as error:
                     self._refuse(topic, str(error))
 
@@ -81,15 +82,16 @@ class RecorderTopics:
             self.refused[name] = reason
             self._node.get_logger().error(f'{name} is not recorded: {reason}')
 
-    def _record(self, topic: str, types: list[str], offers: list[TopicEndpointInfo]) -> None:
+    def _record(self, topic: str, offers: list[TopicEndpointInfo]) -> None:
+        types = sorted({info.topic_type for info in offers})
         recorded = self._topics.get(topic)
         if recorded is None:
-            if len(types) != 1:
-                raise RecordingError(f'it has {len(types)} types, {", ".join(types)}; expected 1')
-            recorded = RecordedTopic(
-                self._node, topic, types[0], self._overrides.get(topic, {}))
-        for other in sorted({info.topic_type for info in offers} - {recorded.type_name}):
-            self._refuse(f'{topic} of {other}', f'it is recorded as {recorded.type_name}')
+            recorded = self._decide(topic, types)
+        if recorded is None:
+            return
+        for other in types:
+            if other != recorded.type_name:
+                self._refuse(f'{topic} of {other}', f'it is recorded as {recorded.type_name}')
         fitting = [info for info in offers if info.topic_type == recorded.type_name]
         if not fitting or not recorded.is_changed(fitting):
             return
@@ -97,3 +99,14 @@ class RecorderTopics:
             topic, recorded.type_name, [qos_to_words(info.qos_profile) for info in fitting])
         self._topics[topic] = recorded
         recorded.listen(fitting)
+
+    def _decide(self, topic: str, types: list[str]) -> RecordedTopic | None:
+        """Return a new topic; none as long as its publishers disagree on the type."""
+        if len(types) > 1:
+            self._undecided.add(topic)
+            self._refuse(topic, f'it has {len(types)} types, {", ".join(types)}; expected 1')
+            return None
+        if topic in self._undecided:
+            self._undecided.remove(topic)
+            del self.refused[topic]
+        return RecordedTopic(self._node, topic, types[0], self._overrides.get(topic, {}))

@@ -268,8 +268,9 @@ def test_a_type_that_is_not_installed_is_refused_by_name_and_the_rest_recorded(
     offers = RecorderNode.get_publishers_info_by_topic
     monkeypatch.setattr(RecorderNode, 'get_topic_names_and_types', lambda node: [
         ('/odd', ['odd_msgs/msg/Odd']), ('/name', ['std_msgs/msg/String'])])
-    monkeypatch.setattr(RecorderNode, 'get_publishers_info_by_topic',
-                        lambda node, topic: offers(node, '/name'))
+    monkeypatch.setattr(RecorderNode, 'get_publishers_info_by_topic', lambda node, topic: (
+        [SimpleNamespace(topic_type='odd_msgs/msg/Odd')] if topic == '/odd'
+        else offers(node, topic)))
     recorder.until(publisher.get_subscription_count)
     say(publisher, 'a')
     recorder.until_recorded(1)
