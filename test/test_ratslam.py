@@ -366,6 +366,17 @@ def test_an_encoder_configured_otherwise_is_noticed(changes):
     assert ratslam.counts['code_mismatches'] >= 1
 
 
+def test_codes_that_match_again_are_noticed_at_the_next():
+    ratslam, matched = RatSlam(CONFIG), []
+    wrong = [event for event in flight() if isinstance(event, Code)][RatSlam.CHECK_EVERY]
+    for event in flight():
+        add(ratslam, replace(event, values=2 * event.values) if event is wrong else event)
+        n_used = ratslam.counts['codes_used']
+        ratslam.advance(0.0)
+        matched += [ratslam.codes_match] * (ratslam.counts['codes_used'] - n_used)
+    assert [k for k, matches in enumerate(matched) if not matches] == [RatSlam.CHECK_EVERY]
+
+
 def test_codes_of_a_live_dictionary_are_not_checked():
     ratslam = RatSlam(CONFIG)
     for event in [sample(0.0), sample(1.0), *live_codes([0.0, 0.1, 0.2])]:

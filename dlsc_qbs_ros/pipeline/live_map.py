@@ -180,7 +180,7 @@ class LiveMap:
         if cells is not None:
             self.mapper.view_cells = cells
             self.counts['code_books'] += 1
-        if self.counts['codes_used'] % self.CHECK_EVERY == 0:
+        if self.counts['codes_used'] % self.CHECK_EVERY == 0 or not self.codes_match:
             self._check(code, view)
         return self._book.in_force(code, view)
 
