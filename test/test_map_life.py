@@ -370,6 +370,30 @@ def test_a_lost_robot_that_is_told_its_pose_is_put_in_the_map_and_not_in_what_it
     assert ratslam.is_localised
 
 
+@pytest.mark.parametrize('n_before', [0, 3, 40])
+def test_codes_on_their_way_when_a_pose_is_told_do_not_take_it_back(n_before):
+    """The robot is lost: odometry has broken, just now or samples ago, and codes lag behind."""
+    ratslam = RatSlam(CONFIG)
+    broken = later(second_part(), 0.0, ELSEWHERE, segment=1)
+    odometry = [event for event in broken if isinstance(event, OdometrySample)][:n_before + 1]
+    late = [event for event in [*first_part(), *broken] if not isinstance(event, OdometrySample)
+            and HALF_NS - 200_000_000 < event.stamp_ns <= odometry[-1].stamp_ns]
+    fly(ratslam, [event for event in first_part()
+                  if isinstance(event, OdometrySample) or event.stamp_ns < late[0].stamp_ns])
+    fly(ratslam, odometry)
+    told = ratslam.mapper.map.pose(20)
+    ratslam.put(told, 0.4, 0.2)
+    fly(ratslam, late, 0.0)
+    assert ratslam.counts['codes_before_told_pose'] >= 1
+    assert ratslam.is_localised
+    assert ratslam.mapper.pose() == pytest.approx(told)
+    assert ratslam.mapper.sigmas()[0] < 0.6
+    before = ratslam.counts.copy()
+    fly(ratslam, [event for event in broken if event.stamp_ns > odometry[-1].stamp_ns][:30], 0.0)
+    new = ratslam.counts - before
+    assert new['codes_used'] > 1 and not new['codes_before_told_pose']
+
+
 # Refused
 
 def test_a_map_in_which_one_view_was_met_over_and_over_is_a_map():

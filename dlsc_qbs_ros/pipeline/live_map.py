@@ -163,6 +163,11 @@ class LiveMap:
     def _take_in(self, code: Code, view: np.ndarray, odometry: OdometrySample) -> None:
         """Use a code, with its view and the odometry at its stamp."""
         self._follower.bridge(odometry)
+        last = self.mapper.odometry
+        if last is not None and (odometry.segment <= last.segment
+                                 and odometry.stamp_ns < last.stamp_ns):
+            self.counts['codes_before_told_pose'] += 1  # it was on its way when that was told
+            return
         values = code.values if code.dictionary_ns is None else self._in_force(code, view)
         # No camera that moves sees the same twice, to the last pixel: one that does hangs.
         is_new = not np.array_equal(view, self._last_view)
