@@ -1,6 +1,6 @@
 """Raw odometry is put in order; between two samples there is a pose."""
 
-from math import cos, nan, pi, sin
+from math import cos, inf, nan, pi, sin
 
 import pytest
 
@@ -128,6 +128,25 @@ def test_a_sample_without_the_twist_that_is_asked_for_is_refused(twist):
     assert segments(samples) == [0, None, 0]
     assert samples[-1].pose == pytest.approx(Pose2(1.0, 0.0, 0.0))
     assert counts == {'odometry_accepted': 2, 'odometry_without_twist': 1}
+
+
+@pytest.mark.parametrize('twist', [(51.0, 0.0, 0.0), (36.0, -36.0, 0.0), (1e200, 0.0, 0.0)])
+def test_a_twist_faster_than_any_is_refused_where_it_is_integrated(twist):
+    raws = [raw(0, twist=(1.0, 0, 0)), raw(500, twist=twist), raw(1000, twist=(1.0, 0, 0))]
+    samples, counts = accepted(raws, use_twist=True, max_speed_m_s=50.0)
+    assert segments(samples) == [0, None, 0]
+    assert samples[-1].pose == pytest.approx(Pose2(1.0, 0.0, 0.0))
+    assert counts == {'odometry_accepted': 2, 'odometry_too_fast': 1}
+    assert accepted(raws)[1] == {'odometry_accepted': 3}
+
+
+@pytest.mark.parametrize('where', [
+    {'x': 1.1e8}, {'y': -1e200}, {'z_m': 1e200}, {'z_m': nan}, {'x': -inf}])
+def test_what_lies_beyond_the_world_is_refused(where):
+    lost = RawOdometry(sample(20, **where), 0.0, 0.0, 0.0)
+    samples, counts = accepted([raw(0), lost, raw(40)])
+    assert segments(samples) == [0, None, 0]
+    assert counts == {'odometry_accepted': 2, 'odometry_malformed': 1}
 
 
 # History

@@ -8,6 +8,9 @@ import numpy as np
 
 from .types import Pose2
 
+# No place in the world is farther away, and up to here sums of positions are still exact.
+LARGEST_M = 1e8
+
 
 def wrap_angle(angle_rad):
     """Return the angle, a float or an ndarray of any shape, wrapped to [-pi, pi)."""

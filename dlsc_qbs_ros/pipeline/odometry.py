@@ -10,7 +10,7 @@ from typing import Callable, Protocol
 
 from .stamps import StampOrder, Succession
 from ..config import OdometryConfig
-from ..core.geometry import compose, interpolate
+from ..core.geometry import compose, interpolate, LARGEST_M
 from ..core.types import IDENTITY, OdometrySample, Pose2, RawOdometry
 
 
@@ -61,8 +61,9 @@ class OdometryNormaliser:
 
     def accept(self, raw: RawOdometry) -> OdometrySample | None:
         """Return the normalised sample, or None when it is refused."""
-        if self._config.use_twist and not all(map(isfinite, _twist(raw))):
-            self.counts['odometry_without_twist'] += 1
+        refusal = self._refusal(raw)
+        if refusal:
+            self.counts[refusal] += 1
             return None
         if self._order.take(raw.sample.stamp_ns) is Succession.LATE:
             self.counts['odometry_out_of_order'] += 1
@@ -79,6 +80,18 @@ class OdometryNormaliser:
         self.counts['odometry_accepted'] += 1
         pose = self._integrated if self._config.use_twist else raw.sample.pose
         return replace(raw.sample, pose=pose, segment=self._segment)
+
+    def _refusal(self, raw: RawOdometry) -> str | None:
+        """Return what makes a sample one that no place in the world, or no drone, can give."""
+        pose = raw.sample.pose
+        if not all(abs(value) <= LARGEST_M for value in (pose.x_m, pose.y_m, raw.sample.z_m)):
+            return 'odometry_malformed'
+        if self._config.use_twist:
+            if not all(map(isfinite, _twist(raw))):
+                return 'odometry_without_twist'
+            if hypot(raw.forward_m_s, raw.left_m_s) > self._config.max_speed_m_s:
+                return 'odometry_too_fast'
+        return None
 
     def _discontinuity(self, raw: RawOdometry, step_s: float) -> str | None:
         if step_s <= 0.0:

@@ -14,7 +14,7 @@ from sensor_msgs.msg import Image
 
 from .image_conversions import image_to_grey, image_to_msg
 from .stamps import ns_to_stamp, stamp_to_ns
-from ..core.geometry import euler_to_quaternion, quaternion_to_euler
+from ..core.geometry import euler_to_quaternion, LARGEST_M, quaternion_to_euler
 from ..core.types import (
     Code, Dictionary, GroundTruthSample, OdometrySample, Pose2, PoseEstimate, RawOdometry, View)
 from ..errors import ImageError, OdometryError
@@ -42,7 +42,7 @@ def odometry_from_msg(msg: Odometry) -> RawOdometry:
     Raises
     ------
     OdometryError
-        When the pose is not finite or its quaternion has no length.
+        When the pose is not finite, beyond the world or its quaternion has no length.
 
     """
     pose, z_m, roll, pitch = _pose_from_msg(msg.pose.pose)
@@ -170,8 +170,9 @@ def _pose_from_msg(msg: Pose) -> tuple[Pose2, float, float, float]:
     position = (msg.position.x, msg.position.y, msg.position.z)
     q = msg.orientation
     quaternion = (q.x, q.y, q.z, q.w)
-    if not all(map(isfinite, position)):
-        raise OdometryError(f'position {position}: expected finite numbers')
+    if not all(abs(value) <= LARGEST_M for value in position):
+        raise OdometryError(
+            f'position {position}: expected finite numbers, none beyond {LARGEST_M:g}')
     length = hypot(*quaternion)
     if not (isfinite(length) and length > 1e-6):
         raise OdometryError(f'quaternion {quaternion}: expected one of length 1')

@@ -62,6 +62,14 @@ def test_odometry_that_is_not_finite_is_refused(part, field, value):
         conversions.odometry_from_msg(msg)
 
 
+@pytest.mark.parametrize('axis', 'xyz')
+def test_odometry_from_beyond_the_world_is_refused(axis):
+    msg = conversions.odometry_to_msg(SAMPLE, 0.0, 0.0, 'odom', 'base_link')
+    setattr(msg.pose.pose.position, axis, -1.1e8)
+    with pytest.raises(OdometryError, match=r'-110000000.0.*: expected .* none beyond 1e\+08'):
+        conversions.odometry_from_msg(msg)
+
+
 def test_a_quaternion_of_zeros_is_refused():
     msg = Odometry()
     msg.pose.pose.orientation.w = 0.0
