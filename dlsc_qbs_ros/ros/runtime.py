@@ -10,6 +10,7 @@ import tempfile
 from typing import Callable, Sequence
 
 import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidHandle, ParameterException
 from rclpy.executors import SingleThreadedExecutor
@@ -83,8 +84,10 @@ def spin(node: ManagedNode, stop: StopRequest) -> None:
     """Start a node and run its callbacks, one at a time, until a stop is requested; destroy it."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    # Python handles a signal only when the executor comes back from waiting.
-    node.create_timer(_WAKE_UP_S, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    # Python handles a signal only when the executor comes back from waiting, whatever callback of
+    # the node is under way.
+    node.create_timer(_WAKE_UP_S, lambda: None, MutuallyExclusiveCallbackGroup(),
+                      Clock(clock_type=ClockType.STEADY_TIME))
     try:
         node.start()
         while not stop.received:

@@ -21,6 +21,7 @@ from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 import yaml
 
 N = 100
@@ -119,6 +120,17 @@ def test_what_waits_when_the_end_comes_is_recorded(domain_id, observer, tmp_path
     finally:
         rclpy.shutdown()
     assert names_in(tmp_path / 'bag') == [str(k) for k in range(N)]
+
+
+def test_a_file_is_split_while_it_is_recorded(recorder, observer, tmp_path):
+    publisher = observer.advertise(String, '/name')
+    process = recorder(topics="['/name']")
+    record(observer, {publisher: [String(data='a')]})
+    response = observer.call(Trigger, '/recorder/split')
+    assert (response.success, response.message) == (True, 'the next message begins a file')
+    record(observer, {publisher: [String(data='b')]})
+    assert process.stop() == 0
+    assert [names_in(tmp_path / 'bag' / f'bag_{k}.mcap') for k in range(2)] == [['a'], ['b']]
 
 
 def test_a_regex_matches_whole_names(recorder, observer, tmp_path):

@@ -21,6 +21,7 @@ class Worker(ManagedNode):
         offer(self, Trigger, 'work', self._work)
         offer(self, Trigger, 'refuse', self._refuse)
         offer(self, SetBool, 'switch', lambda is_on: f'switched {"on" if is_on else "off"}')
+        self.create_service(Trigger, '~/block', self._block)
         self.create_timer(0.01, self._tick)
 
     def activate(self, undo):
@@ -32,6 +33,9 @@ class Worker(ManagedNode):
     async def _work(self):
         self.given.append(Future())
         return await finished(self.given[-1])
+
+    async def _block(self, request, response):
+        await self._work()
 
     def _refuse(self):
         raise MapError('no map')
@@ -95,3 +99,11 @@ def test_a_node_that_is_cleaned_up_owes_no_answer(worker, observer):
     work.set_result('done')
     assert observer.transition('worker', 'configure')
     assert observer.call(SetBool, '/worker/switch', data=True).success
+
+
+def test_a_node_ends_while_a_callback_of_its_own_waits(worker, observer):
+    ask(observer, Trigger, 'block')
+    observer.spin_until(lambda: worker.given)
+    n_ticks = worker.n_ticks
+    assert observer.call(SetBool, '/worker/switch', data=True).success
+    assert worker.n_ticks == n_ticks  # that much is held up, but not the end
