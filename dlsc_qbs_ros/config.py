@@ -96,7 +96,9 @@ class PatchesConfig(Section):
     size: int = parameter(5, 'edge of a patch', unit='px', bounds=(2, 32))
     n_learned: int = parameter(
         128, 'random patches of a frame that are learned from', bounds=(1, 100000))
-    eta_d: float = parameter(5.0, 'learning rate, in place of encoder.eta_d', bounds=(0.0, 100.0))
+    eta_d: float = parameter(
+        5.0, 'learning rate, in place of encoder.eta_d: four times that at first, soon this',
+        bounds=(0.0, 100.0))
     cells_x: int = parameter(5, 'cells along the width that codes are pooled into',
                              bounds=(1, 64))
     cells_y: int = parameter(4, 'cells along the height', bounds=(1, 64))

@@ -1,5 +1,7 @@
 """The learner of patches is Algorithm 1 on unit atoms, written out literally in float64."""
 
+from dataclasses import replace
+
 from algorithm_1 import prox
 import numpy as np
 import pytest
@@ -27,8 +29,9 @@ def frames(n_frames, n=N, seed=0):
 class Literal:
     """Algorithm 1, patch by patch, and atoms back to length 1 after every frame."""
 
-    def __init__(self, atoms, encoder, patches):
+    def __init__(self, atoms, encoder, patches, n_frames=0):
         self.atoms, self._encoder, self._patches = atoms.astype(float), encoder, patches
+        self._n_frames = n_frames
 
     def step(self, batch):
         phi, encoder = self.atoms.T, self._encoder
@@ -39,10 +42,12 @@ class Literal:
                 self.codes[i] = prox(self.codes[i] - eta_c * phi.T @ (phi @ self.codes[i] - s),
                                      eta_c * encoder.lambda_1)
         error = np.mean([np.sum((phi @ c - s) ** 2) for c, s in zip(self.codes, batch)])
+        eta_d = self._patches.eta_d * (1.0 + 90.0 / (30 + self._n_frames))
         for _ in range(encoder.n_learning):
-            phi = phi - self._patches.eta_d * np.mean(
+            phi = phi - eta_d * np.mean(
                 [np.outer(phi @ c - s, c) for c, s in zip(self.codes, batch)], axis=0)
         self.atoms = (phi / np.linalg.norm(phi, axis=0)).T
+        self._n_frames += 1
         return error
 
 
@@ -89,16 +94,49 @@ def test_as_many_patches_are_learned_from_as_told_drawn_anew_each_frame(n_learne
     learner = PatchLearner(N_INPUTS, ENCODER, PatchesConfig(n_learned=n_learned, eta_d=1e-3))
     twin = PatchLearner(N_INPUTS, ENCODER, PatchesConfig(n_learned=n_learned, eta_d=1e-3))
     rng, drawn = np.random.default_rng(ENCODER.seed), []
-    for batch in frames(5):
+    for k, batch in enumerate(frames(5)):
         n = min(n_learned, N)
         drawn.append(rng.choice(N, n, replace=False))
-        literal = Literal(learner.atoms_, ENCODER, PatchesConfig(eta_d=1e-3))
+        literal = Literal(learner.atoms_, ENCODER, PatchesConfig(eta_d=1e-3), n_frames=k)
         for one in (learner, twin):
             step(one, batch)
         literal.step(batch[drawn[-1]])
         np.testing.assert_allclose(learner.atoms_, literal.atoms, atol=1e-6)
         np.testing.assert_array_equal(learner.atoms_, twin.atoms_)
     assert n_learned >= N or len({tuple(chosen) for chosen in drawn}) == 5
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_atoms_are_without_mean_as_patches_are(seed):
+    encoder = replace(ENCODER, seed=seed)
+    learner = PatchLearner(N_INPUTS, encoder, ALL)
+    for batch in frames(20):
+        np.testing.assert_allclose(learner.atoms_.mean(axis=1), 0.0, atol=1e-6)
+        step(learner, batch - batch.mean(axis=1, keepdims=True))
+
+
+def test_the_first_steps_are_the_longest_and_none_is_shorter_than_eta_d():
+    """Four times eta_d at first, half of what is too much after 30 frames learned from."""
+    patches = PatchesConfig(n_learned=N, eta_d=1e-3)
+    learner, (batch,) = PatchLearner(N_INPUTS, ENCODER, patches), frames(1)
+    lengths = []
+    for _ in range(301):
+        learner.infer(batch)
+        before = learner.atoms_
+        learner.learn(batch)
+        lengths.append(np.linalg.norm(learner.atoms_ - before))
+    assert lengths[30] / lengths[0] == pytest.approx(2.5 / 4.0, rel=0.01)
+    assert lengths[300] / lengths[0] == pytest.approx((1.0 + 3.0 / 11.0) / 4.0, rel=0.05)
+
+
+def test_what_does_not_learn_does_not_settle():
+    learner, (batch,) = PatchLearner(N_INPUTS, ENCODER, ALL), frames(1)
+    for _ in range(100):
+        learner.infer(batch)
+    literal = Literal(learner.atoms_, ENCODER, ALL)
+    step(learner, batch)
+    literal.step(batch)
+    np.testing.assert_allclose(learner.atoms_, literal.atoms, atol=TOLERANCE)
 
 
 # Snapshots

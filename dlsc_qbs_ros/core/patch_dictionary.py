@@ -18,6 +18,10 @@ class PatchLearner(Learner):
     and the dictionary follows the mean gradient over patches drawn at random, after which its
     atoms get back to length 1. All is small enough to be done as it is written.
 
+    Atoms start at random, but without a mean, as patches have none. Places are told apart less
+    well by young atoms: so the rate begins at a multiple of `eta_d` and falls to it, as 1 / k
+    with the k frames learned from, and what is learned early is soon as good as what comes late.
+
     Attributes
     ----------
     atoms_ : ndarray of shape (n_atoms, n_inputs), float32
@@ -33,12 +37,16 @@ class PatchLearner(Learner):
 
     """
 
+    # The rate is eta_d * (1 + EXCESS * SETTLING / (SETTLING + k)).
+    EXCESS, SETTLING = 3.0, 30
+
     def __init__(self, n_inputs: int, config: EncoderConfig, patches: PatchesConfig):
         super().__init__(1.0 / config.n_atoms)  # no lambda_max of unit atoms is more than n_atoms
         self._config, self._patches = config, patches
         self._rng = np.random.default_rng(config.seed)
-        self.restart(np.random.default_rng(config.seed).normal(
-            size=(config.n_atoms, n_inputs)))
+        self._n_frames_learned = 0
+        atoms = np.random.default_rng(config.seed).normal(size=(config.n_atoms, n_inputs))
+        self.restart(atoms - atoms.mean(axis=1, keepdims=True))
 
     def restart(self, atoms: np.ndarray) -> None:
         """Go on from these atoms (n_atoms, n_inputs), brought to length 1."""
@@ -74,11 +82,18 @@ class PatchLearner(Learner):
         n = min(self._patches.n_learned, len(inputs))
         chosen = self._rng.choice(len(inputs), n, replace=False)
         codes, inputs, residuals = self.codes_[chosen], inputs[chosen], self._residuals[chosen]
-        atoms, rate = self.atoms_, np.float32(self._patches.eta_d / n)
+        atoms, rate = self.atoms_, np.float32(self._rate / n)
         for _ in range(self._config.n_learning):
             atoms = atoms - rate * codes.T @ residuals
             residuals = codes @ atoms - inputs
         self._set(atoms)
+        self._n_frames_learned += 1
+
+    @property
+    def _rate(self) -> float:
+        """Return the learning rate: the next frame's."""
+        excess = self.EXCESS * self.SETTLING / (self.SETTLING + self._n_frames_learned)
+        return self._patches.eta_d * (1.0 + excess)
 
     def _set(self, atoms: np.ndarray) -> None:
         self.atoms_ = atoms / np.linalg.norm(atoms, axis=1, keepdims=True)
