@@ -36,6 +36,9 @@ class Matcher:
 
     # A run of views that a gap cut short may be that short for a place to be tracked by it.
     SHORTEST_RUN = 4
+    # By this share of the leeway, a place where odometry did not expect the robot must be more
+    # alike than any other in reach.
+    LEAD = 0.5
 
     def __init__(self, config: Config, journey: Journey):
         self._config = config.ratslam
@@ -102,7 +105,10 @@ class Matcher:
         if not len(candidates):
             return None
         best = candidates[np.argmax(score[alike[candidates]])]
-        return Match(int(alike[best]), bool(needed[best] == far))
+        match = Match(int(alike[best]), bool(needed[best] == far))
+        is_doubtful = (self._is_ambiguous(match.view_cell, score, alike[np.isfinite(distance_m)])
+                       if match.is_jump else self._is_outdone(match.view_cell, score))
+        return None if is_doubtful else match
 
     def trust(self, experience: int) -> tuple[float, float]:
         """Return the weights of odometry beside a view, for position and heading."""
@@ -167,6 +173,36 @@ class Matcher:
         distance_m = np.full(len(is_asked), np.inf)
         np.minimum.at(distance_m, self.view_cell.values[asked[allowed]], offset_m[allowed])
         return distance_m
+
+    @property
+    def _leeway(self) -> float:
+        """Return how much likeness odometry makes up for, as tracking takes off the threshold."""
+        return max(self._config.threshold - self._config.tracking_threshold, 0.0)
+
+    def _is_outdone(self, view_cell: int, score: np.ndarray) -> bool:
+        """
+        Return whether the views are more like another old place than odometry makes up for.
+
+        Then the robot is not where it is believed to be, but there, out of reach; and what is
+        somewhat alike here is the next bay of the shelves.
+        """
+        return len(self._old_ones(score > score[view_cell] + self._leeway)) > 0
+
+    def _is_ambiguous(self, view_cell: int, score: np.ndarray, in_reach: np.ndarray) -> bool:
+        """Return whether, of the view cells in reach, one of another place is about as alike."""
+        is_rival = np.zeros(len(score), bool)
+        is_rival[in_reach] = score[in_reach] > score[view_cell] - self.LEAD * self._leeway
+        x_m, y_m, _ = self._map.poses[self._old_ones(is_rival)].T
+        place = self._map.pose(self.nearest_experience(view_cell))
+        # Runs of views that share some are alike.
+        run_m = self._config.sequence_length * self._config.keyframe_distance_m
+        return bool(np.any(np.hypot(x_m - place.x_m, y_m - place.y_m) > run_m))
+
+    def _old_ones(self, is_asked: np.ndarray) -> np.ndarray:
+        """Return the old enough experiences, in this piece of the map, of view cells asked for."""
+        experiences = np.flatnonzero(is_asked[self.view_cell.values])
+        is_here = self._pieces.of(experiences) == self._pieces.here
+        return experiences[is_here & self._is_old_enough(experiences)]
 
     def _is_old_enough(self, experiences: np.ndarray) -> np.ndarray:
         """Return whether experiences may be met again; those of another piece always may."""

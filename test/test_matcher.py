@@ -1,0 +1,83 @@
+"""Which view cell a run of views is taken for: likeness, weighed against the odometry."""
+
+import numpy as np
+import pytest
+
+from dlsc_qbs_ros.config import Config
+from dlsc_qbs_ros.core.types import IDENTITY, Pose2
+from dlsc_qbs_ros.pipeline.journey import Journey
+from dlsc_qbs_ros.pipeline.matcher import Match, Matcher
+
+# A view by itself is a run, 3.5 m long; odometry makes up for a likeness of 0.2.
+CONFIG = Config().override({
+    'ratslam.sequence_length': 1, 'ratslam.keyframe_distance_m': 3.5,
+    'ratslam.threshold': 0.8, 'ratslam.tracking_threshold': 0.6})
+N = 40
+SURE_M, UNSURE_M = 0.2, 5.0
+
+
+def match(here, sigma_m, likeness, n_recent=0, n_apart=0, config=CONFIG):
+    """
+    Return what is matched of places a metre apart.
+
+    The last `n_recent` of them were just flown by, the first `n_apart` are of another piece of
+    the map. The robot is believed to be at the place `here`, which is known by `sigma_m`;
+    `likeness` is that of some places, and 0.3 for all others.
+    """
+    journey = Journey(config)
+    matcher = Matcher(config, journey)
+    for k in range(N):
+        if k == n_apart:
+            journey.break_off()
+        if k == N - n_recent:
+            journey.move(Pose2(0.0, 100.0, 0.0), 100.0)
+        journey.move(IDENTITY, 0.1)
+        journey.visits.create(Pose2(float(k), 0.0, 0.0))
+        matcher.view_cell.append(k)
+    if not n_recent:
+        journey.move(Pose2(0.0, 100.0, 0.0), 100.0)
+    journey.put(here, IDENTITY)
+    journey.drift.anchor(sigma_m, 0.1)
+    score = np.full(N, 0.3)
+    score[list(likeness)] = list(likeness.values())
+    matcher.score(score)
+    return matcher.match(score)
+
+
+def test_where_odometry_expects_it_a_place_may_be_less_alike():
+    assert match(10, SURE_M, {10: 0.65}) == Match(10, False)
+    assert match(10, SURE_M, {10: 0.55}) is None
+    assert match(10, UNSURE_M, {10: 0.65}) is None
+    assert match(10, UNSURE_M, {10: 0.85}) == Match(10, True)
+
+
+@pytest.mark.parametrize('elsewhere, expected', [(0.84, Match(11, False)), (0.86, None)])
+def test_but_not_by_more_than_odometry_makes_up_for_where_another_is_the_likeliest(
+        elsewhere, expected):
+    """As one bay of shelves is where the map is wrong about the place that is really seen."""
+    assert match(10, SURE_M, {11: 0.65, 30: elsewhere}) == expected
+
+
+def test_what_was_just_flown_by_outdoes_no_place():
+    assert match(10, SURE_M, {11: 0.65, 39: 0.99}, n_recent=3) == Match(11, False)
+    assert match(10, SURE_M, {11: 0.65, 35: 0.99}, n_recent=3) is None
+
+
+def test_nor_does_what_lies_in_another_piece_of_the_map():
+    assert match(30, SURE_M, {31: 0.65, 10: 0.99}, n_apart=20) == Match(31, False)
+    assert match(30, SURE_M, {31: 0.65, 10: 0.99}) is None
+
+
+def test_a_place_outdoes_none_by_less_than_it_is_more_alike():
+    """Whatever the thresholds: where tracking asks for more, odometry makes up for nothing."""
+    config = CONFIG.override({'ratslam.tracking_threshold': 0.9})
+    assert match(10, SURE_M, {10: 0.95, 30: 0.94}, config=config) == Match(10, False)
+
+
+@pytest.mark.parametrize('rival, likeness, expected', [
+    (17, 0.79, None), (17, 0.81, None), (17, 0.74, Match(8, True)),
+    (11, 0.84, Match(8, True)), (30, 0.84, Match(8, True))],
+    ids=['alike', 'more_alike', 'less_alike', 'within_the_run', 'out_of_reach'])
+def test_a_place_that_odometry_does_not_expect_must_be_the_only_one_in_reach(
+        rival, likeness, expected):
+    assert match(10, UNSURE_M, {8: 0.85, rival: likeness}) == expected
