@@ -2,6 +2,7 @@
 
 from math import inf, isinf, sqrt
 
+import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import OdometryConfig
@@ -68,3 +69,13 @@ def test_a_pose_that_nobody_knows_is_known_by_infinity(motion, map_radius_m):
     drift = flown((motion, 1.0), anchor=(inf, inf))
     assert isinf(drift.position_sigma_m(map_radius_m))
     assert isinf(drift.yaw_sigma_rad())
+
+
+def test_what_it_were_after_more_odometry_is_what_more_odometry_makes_it():
+    drift, longer = (flown((Pose2(metres, 0.0, 0.0), seconds), anchor=(0.3, 0.1))
+                     for metres, seconds in ((2.0, 3.0), (6.0, 10.0)))
+    beyond = drift.beyond(np.array([0.0, 7.0]), np.array([0.0, 4.0]))
+    assert beyond.yaw_sigma_rad() == pytest.approx([drift.yaw_sigma_rad(),
+                                                    longer.yaw_sigma_rad()])
+    assert beyond.position_sigma_m(3.0) == pytest.approx([drift.position_sigma_m(3.0),
+                                                          longer.position_sigma_m(3.0)])

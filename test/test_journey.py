@@ -268,3 +268,83 @@ def test_where_a_piece_is_is_not_known_once_the_run_that_joined_it_is_taken_back
     assert made.pieces.is_localised
     made.undo(1)
     assert not made.pieces.is_localised
+
+
+# What was flown while lost
+
+def lost_and_found():
+    """Return a journey that flew 0 to 3, was carried away, flew 4 to 8 and met 1 as it flew on."""
+    made = journey([STEP] * 3)
+    made.break_off()
+    made.visits.create(made.visits.pose())
+    create(made, [STEP] * 4)
+    meet(made, [STEP], [1])
+    return made
+
+
+def test_what_was_flown_while_lost_hangs_on_to_the_map_by_the_odometry_from_there():
+    made = lost_and_found()
+    assert made.pieces.detour(np.arange(9)).tolist() == 2 * [
+        [0.0, 0.0, 0.0, 0.0, 5.0, 4.0, 3.0, 2.0, 1.0]]
+
+
+def test_what_is_flown_afterwards_sets_out_from_the_place_that_was_met():
+    made = lost_and_found()
+    assert made.pieces.detour(8).tolist() == [1.0, 1.0]
+    create(made, [STEP, STEP])
+    assert made.pieces.detour(10).tolist() == [2.0, 2.0]
+
+
+def test_once_met_again_it_is_tied_there_too():
+    made = lost_and_found()
+    meet(made, [STEP, STEP], [2, 4])
+    made.pieces.tie()
+    meet(made, [STEP], [2])
+    assert made.pieces.detour(np.arange(4, 9)).tolist() == 2 * [[1.0, 2.0, 3.0, 2.0, 1.0]]
+
+
+def test_from_where_it_was_met_again_its_own_places_are_as_far_as_they_were_flown():
+    made = lost_and_found()
+    meet(made, [STEP], [5])
+    assert made.pieces.detour(np.arange(4, 9)).tolist() == 2 * [[1.0, 0.0, 1.0, 2.0, 2.0]]
+
+
+def test_a_journey_without_a_break_has_nothing_loose():
+    made = journey(SQUARE)
+    meet(made, [STEP], [0])
+    assert not made.pieces.detour(np.arange(len(SQUARE))).any()
+
+
+def test_a_piece_apart_is_not_loose_in_itself():
+    made = journey([STEP] * 3)
+    made.break_off()
+    made.visits.create(made.visits.pose())
+    create(made, [STEP] * 4)
+    assert not made.pieces.detour(np.arange(4, 9)).any()
+
+
+def test_nor_when_it_was_lost_where_the_map_was_loose():
+    made = lost_and_found()
+    meet(made, [STEP], [5])
+    made.break_off()
+    made.visits.create(made.visits.pose())
+    assert made.pieces.detour(9).tolist() == [0.0, 0.0]
+
+
+def test_what_no_match_led_to_is_where_it_was_put_by_hand():
+    made = journey([STEP] * 3)
+    for _ in range(2):
+        made.break_off()
+        made.put(1, IDENTITY)
+        made.visits.create(made.visits.pose())
+    meet(made, [STEP], [3])
+    assert made.pieces.detour(np.arange(6)).tolist() == 2 * [[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]
+
+
+def test_where_a_lost_robot_was_put_by_hand_is_not_loose():
+    made = journey([STEP] * 3)
+    made.break_off()
+    made.put(1, IDENTITY)
+    made.settle()
+    create(made, [STEP])
+    assert made.pieces.detour(np.arange(5)).tolist() == 2 * [[0.0, 0.0, 0.0, 0.0, 1.0]]

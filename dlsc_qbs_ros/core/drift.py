@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import hypot, pi, sqrt
+from copy import copy
+from math import hypot, pi
 
 import numpy as np
 
@@ -47,16 +48,23 @@ class Drift:
         self._path_m += hypot(motion.x_m, motion.y_m)
         self._time_s += seconds
 
-    def yaw_sigma_rad(self) -> float:
+    def beyond(self, seconds, metres) -> Drift:
+        """Return what it were after more odometry; arrays (n,) make the deviations (n,) too."""
+        other = copy(self)
+        other._time_s, other._path_m = self._time_s + seconds, self._path_m + metres
+        return other
+
+    def yaw_sigma_rad(self):
         """Return the deviation of the heading."""
         bias = self._config.yaw_bias_rad_s * self._time_s
-        return sqrt(self._anchor_sigma[1] ** 2 + bias ** 2
-                    + self._config.yaw_noise ** 2 * self._time_s)
+        return np.sqrt(self._anchor_sigma[1] ** 2 + bias ** 2
+                       + self._config.yaw_noise ** 2 * self._time_s)
 
-    def position_sigma_m(self, map_radius_m: float) -> float:
+    def position_sigma_m(self, map_radius_m: float):
         """Return the deviation of the position, in a map of this radius."""
-        lever = min(self._path_m, map_radius_m)
-        yaw_sigma = min(self.yaw_sigma_rad(), pi)  # infinite in a new segment; no turn is more
-        return sqrt(self._anchor_sigma[0] ** 2
-                    + (self._config.translation_drift * self._path_m) ** 2
-                    + (0.5 * lever * yaw_sigma) ** 2)
+        lever = np.minimum(self._path_m, map_radius_m)
+        # Infinite in a new segment; but no turn is more than half a one.
+        yaw_sigma = np.minimum(self.yaw_sigma_rad(), pi)
+        return np.sqrt(self._anchor_sigma[0] ** 2
+                       + (self._config.translation_drift * self._path_m) ** 2
+                       + (0.5 * lever * yaw_sigma) ** 2)

@@ -124,6 +124,7 @@ class Journey:
             return False
         self._next_closure_m = path_m + max(path_m - self._run_start_m, self._config.min_path_m)
         self._closures.append(len(self.visits.experience.values) - 1)
+        self.pieces.tie()
         self._check_start()
         return True
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, inf
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -93,14 +93,11 @@ class Matcher:
             return None
         is_asked = np.zeros(len(score), bool)
         is_asked[alike] = True
-        distance_m = self._gated_distance(is_asked)[alike]
-        # Near by chance is not tracking: odometry must be sure enough to tell.
-        is_tracking = self._sigmas()[0] <= self._config.tracking_distance_m
+        distance_m, is_tracking = (of_cells[alike] for of_cells in self._gate(is_asked))
         near, far = (
             (self._config.tracking_threshold, self._config.threshold)
             if self._sequence.is_whole else (self._config.threshold, inf))
-        needed = np.where(is_tracking & (distance_m <= self._config.tracking_distance_m),
-                          near, far)
+        needed = np.where(is_tracking, near, far)
         candidates = np.flatnonzero(np.isfinite(distance_m) & (score[alike] >= needed))
         if not len(candidates):
             return None
@@ -114,7 +111,7 @@ class Matcher:
         """Return the weights of odometry beside a view, for position and heading."""
         if self._pieces.is_apart(experience):
             return 0.0, 0.0
-        sigma_m, sigma_rad = self._sigmas()
+        sigma_m, sigma_rad = self._sigmas(experience)
         return (_share(self._config.match_position_sigma_m, sigma_m),
                 _share(self._config.match_yaw_sigma_rad, sigma_rad))
 
@@ -146,33 +143,38 @@ class Matcher:
         offsets = self._map.poses[experiences, :2] - (here.x_m, here.y_m)
         return int(experiences[np.argmin(np.hypot(*offsets.T))])
 
-    def _sigmas(self) -> tuple[float, float]:
-        """Return the deviations of position and heading within the robot's piece of the map."""
-        drift = self._journey.drift
+    def _sigmas(self, experiences: int | np.ndarray) -> tuple:
+        """Return the deviations of the robot's position and heading, as seen from experiences."""
+        drift = self._journey.drift.beyond(*self._pieces.detour(experiences))
         return drift.position_sigma_m(self._map.radius_m), drift.yaw_sigma_rad()
 
-    def _gated_distance(self, is_asked: np.ndarray) -> np.ndarray:
+    def _gate(self, is_asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the distance of those view cells, of (n_cells,), from the estimated position.
+        Return the distance of those view cells, of (n_cells,), and whether they are tracked.
 
-        Infinite where not asked, and where no old enough experience of the cell, in this piece
-        of the map, lies within the drift of the odometry since the last closure.
+        The distance is that from the estimated position: infinite where not asked, and where no
+        old enough experience of the cell, in this piece of the map, lies within the drift of the
+        odometry since the last closure. A cell is tracked where odometry expects it.
         """
         here = self._visits.pose()
-        sigma_m, sigma_rad = self._sigmas()
         reach = self._config.gate_sigmas
         asked = np.flatnonzero(is_asked[self.view_cell.values])
+        sigma_m, sigma_rad = self._sigmas(asked)
         x_m, y_m, yaw_rad = self._map.poses[asked].T
         offset_m = np.hypot(x_m - here.x_m, y_m - here.y_m)
         turn_rad = np.abs(wrap_angle(yaw_rad - here.yaw_rad))
         allowed = (
-            (offset_m <= reach * hypot(sigma_m, self._config.match_position_sigma_m))
-            & (turn_rad <= reach * hypot(sigma_rad, self._config.match_yaw_sigma_rad))
+            (offset_m <= reach * np.hypot(sigma_m, self._config.match_position_sigma_m))
+            & (turn_rad <= reach * np.hypot(sigma_rad, self._config.match_yaw_sigma_rad))
             & (self._pieces.of(asked) == self._pieces.here)
             & self._is_old_enough(asked))
-        distance_m = np.full(len(is_asked), np.inf)
-        np.minimum.at(distance_m, self.view_cell.values[asked[allowed]], offset_m[allowed])
-        return distance_m
+        # Near by chance is not tracking: odometry must be sure enough to tell.
+        is_near = allowed & (np.maximum(offset_m, sigma_m) <= self._config.tracking_distance_m)
+        cells = self.view_cell.values[asked]
+        distance_m, is_tracking = np.full(len(is_asked), inf), np.zeros(len(is_asked), bool)
+        np.minimum.at(distance_m, cells[allowed], offset_m[allowed])
+        is_tracking[cells[is_near]] = True
+        return distance_m, is_tracking
 
     @property
     def _leeway(self) -> float:

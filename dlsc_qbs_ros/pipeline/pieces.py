@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 
+from .looseness import looseness
 from .visits import ALL, Visits
 from ..core.geometry import between_rows, compose, compose_rows
 from ..core.rows import Rows
@@ -26,6 +29,8 @@ class Pieces:
         # without a visit; and the piece of the map that each segment is part of.
         self._put = Rows(np.zeros((0, 2), np.int64))
         self._piece = np.zeros(1, np.int64)
+        # Per visit up to the last change: see `looseness`. None after a change.
+        self._loose: np.ndarray | None = None
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
@@ -65,6 +70,46 @@ class Pieces:
         """Whether the robot knows where it is in the map, rather than in a piece apart."""
         return self.here == self.main
 
+    def detour(self, experiences: int | np.ndarray) -> np.ndarray:
+        """
+        Return the seconds and metres of odometry between experiences and the robot's anchor.
+
+        The anchor is the old place that it was last at, (2, n) the result. The oldest segment of
+        a piece is the map, as it is; what hangs on to it by odometry alone, as a stretch that
+        was flown while lost does, may lie elsewhere by the drift of that way.
+        """
+        visits, anchor = self._visits, self._anchor()
+        births = visits.birth.values[experiences]
+        if anchor is None or np.array_equal(self._piece, np.arange(len(self._piece))):
+            return np.zeros((2, *np.shape(births)))
+        if self._loose is None:
+            segments = visits.flown.values[:, 2].astype(int)
+            self._loose = looseness(visits, self._piece[segments] == segments)
+        flown = visits.flown.values
+        along = np.abs(flown[births] - flown[anchor])
+        along[along[..., 2] > 0.0] = inf
+        return np.minimum(self._ways(births) + self._ways(anchor), along[..., :2]).T
+
+    def _anchor(self) -> int | None:
+        """Return the visit that made the old place the robot was last at; None if at none yet."""
+        visits = self._visits
+        if visits.is_put:
+            return visits.place().visit
+        met = np.flatnonzero(visits.run.values)
+        if not len(met) or visits.flown.values[met[-1], 2] != visits.flown_now[2]:
+            return None
+        return int(visits.birth.values[visits.experience.values[met[-1]]])
+
+    def _ways(self, births: int | np.ndarray) -> np.ndarray:
+        """Return how loose visits are, (n, 2); those since the last change go on from there."""
+        known = np.minimum(births, len(self._loose) - 1)
+        flown = self._visits.flown.values
+        return self._loose[known] + (flown[births] - flown[known])[..., :2]
+
+    def tie(self) -> None:
+        """Take note that another match ties the map together."""
+        self._loose = None
+
     def put(self, experience: int) -> None:
         """Take the robot to be in the piece of an experience from here on."""
         if self.is_apart(experience):
@@ -82,6 +127,7 @@ class Pieces:
 
     def label(self) -> None:
         """Name the piece of each segment: a visit to an old experience makes two one."""
+        self._loose = None
         visits = self._visits
         met = np.flatnonzero(visits.run.values)
         births = visits.birth.values[visits.experience.values[met]]
@@ -91,6 +137,6 @@ class Pieces:
             pieces = self._piece[pair]
             self._piece[np.isin(self._piece, pieces)] = pieces.min()
 
-    def _segment(self, experience: int) -> float:
-        """Return the segment of odometry that an experience was created in."""
-        return self._visits.flown.values[self._visits.birth.values[experience], 2]
+    def _segment(self, experiences: int | np.ndarray) -> float | np.ndarray:
+        """Return the segment of odometry that experiences were created in."""
+        return self._visits.flown.values[self._visits.birth.values[experiences], 2]
