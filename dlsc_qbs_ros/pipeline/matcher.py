@@ -50,6 +50,8 @@ class Matcher:
             1 if self._is_published else config.ratslam.sequence_length,
             shortest=self.SHORTEST_RUN)
         self._relocaliser = Relocaliser(config)
+        # How alike the last view by itself and every cell are.
+        self._likeness = np.zeros(0, np.float32)
         self.view_cell = Rows(np.zeros(0, np.int64))
 
     def reconfigure(self, config: Config) -> None:
@@ -68,6 +70,7 @@ class Matcher:
 
     def score(self, likeness: np.ndarray) -> np.ndarray | None:
         """Return how alike the last views are to the run that ends in each cell; None at first."""
+        self._likeness = likeness
         return self._sequence.update(likeness)
 
     def find(self, score: np.ndarray) -> int | None:
@@ -167,7 +170,7 @@ class Matcher:
             (offset_m <= reach * np.hypot(sigma_m, self._config.match_position_sigma_m))
             & (turn_rad <= reach * np.hypot(sigma_rad, self._config.match_yaw_sigma_rad))
             & (self._pieces.of(asked) == self._pieces.here)
-            & self._is_old_enough(asked))
+            & self._is_old_enough(asked) & self._is_still_seen(asked))
         # Near by chance is not tracking: odometry must be sure enough to tell.
         is_near = allowed & (np.maximum(offset_m, sigma_m) <= self._config.tracking_distance_m)
         cells = self.view_cell.values[asked]
@@ -206,6 +209,17 @@ class Matcher:
         is_here = self._pieces.of(experiences) == self._pieces.here
         return experiences[is_here & self._is_old_enough(experiences)]
 
+    def _is_still_seen(self, experiences: np.ndarray) -> np.ndarray:
+        """
+        Return whether the last view by itself is like experiences from before odometry broke.
+
+        A run of views outlives its place: where the way parts from that of another flight, the
+        earlier views carry the score on, and would turn the robot after the other.
+        """
+        likeness = self._likeness[self.view_cell.values[experiences]]
+        return ((likeness >= self._config.tracking_threshold)
+                | ~self._pieces.is_foreign(experiences))
+
     def _is_old_enough(self, experiences: np.ndarray) -> np.ndarray:
         """Return whether experiences may be met again; those of another piece always may."""
         if self._is_published:
@@ -217,4 +231,4 @@ class Matcher:
 
 def _share(match_sigma: float, odometry_sigma: float) -> float:
     """Return the weight of the odometry beside a match."""
-    return match_sigma ** 2 / (match_sigma ** 2 + odometry_sigma ** 2)
+    return float(match_sigma ** 2 / (match_sigma ** 2 + odometry_sigma ** 2))
