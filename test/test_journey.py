@@ -270,6 +270,18 @@ def test_where_a_piece_is_is_not_known_once_the_run_that_joined_it_is_taken_back
     assert not made.pieces.is_localised
 
 
+def test_taking_back_a_run_moves_nothing_from_after_a_break_of_the_odometry():
+    made = journey([STEP] * 9)
+    meet(made, [STEP], [2])
+    made.break_off()
+    made.visits.create(made.visits.pose())
+    create(made, [STEP] * 3)
+    meet(made, [STEP], [5])
+    before = made.visits.map.poses.copy()
+    made.undo(1)
+    assert made.visits.map.poses == pytest.approx(before)
+
+
 # What was flown while lost
 
 def lost_and_found():

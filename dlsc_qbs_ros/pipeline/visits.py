@@ -211,9 +211,13 @@ class Visits:
         return compose(self.offset_at(visit - 1),
                        between(self.track_at(visit - 1), self.track_at(visit)))
 
+    def _is_cut(self, visit: int) -> bool:
+        """Whether odometry broke between the visit before and this one."""
+        return bool(self.flown.values[visit, 2] != self.flown.values[visit - 1, 2])
+
     def _link(self, visit: int) -> None:
         """Link a visit's experience to that of the visit before, as odometry led there."""
-        if visit == 0 or self.flown.values[visit, 2] != self.flown.values[visit - 1, 2]:
+        if visit == 0 or self._is_cut(visit):
             return
         origin, target = self.experience.values[[visit - 1, visit]].tolist()
         motion = compose(self._arrival(visit), invert(self.offset_at(visit)))
@@ -223,6 +227,8 @@ class Visits:
 
     def _carry(self, visit: int, is_last: bool) -> None:
         """Move what a visit created to where odometry led; after the last one, all the rest."""
+        if self._is_cut(visit):
+            return
         experience, origin = self.experience.values[[visit, visit - 1]].tolist()
         moved = self.birth.values >= visit if is_last else [experience]
         now = compose(self.map.pose(origin), self._arrival(visit))
