@@ -9,6 +9,9 @@ from ..core.pose_cells import PoseCells
 from ..core.rows import Rows
 from ..core.types import Pose2
 
+# The exponent from which on a view cell has no power left.
+SPENT = np.log(30.0)
+
 
 class Packet:
     """
@@ -71,8 +74,8 @@ class Packet:
 
     def spend(self, view_cell: int) -> float:
         """Return the energy that a view cell has power for, not always above 0, and spend it."""
-        energy = self._config.injection * (
-            30.0 - np.exp(1.2 * self._decay.values[view_cell])) / 30.0
+        spent = min(1.2 * self._decay.values[view_cell], SPENT)
+        energy = self._config.injection * (30.0 - np.exp(spent)) / 30.0
         self._decay.values[view_cell] += self._config.active_decay
         return energy
 
