@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import Config
-from dlsc_qbs_ros.core.types import Pose2
-from dlsc_qbs_ros.pipeline.relocaliser import Relocaliser, Track
+from dlsc_qbs_ros.core.types import Pose2, Track
+from dlsc_qbs_ros.pipeline.relocaliser import Relocaliser
 
 # A corridor of places a metre apart; a run of views is 14 times 0.25 m long.
 POSES = np.column_stack([np.arange(40.0), np.zeros(40), np.zeros(40)])

@@ -19,6 +19,14 @@ class Pose2(NamedTuple):
 IDENTITY = Pose2(0.0, 0.0, 0.0)
 
 
+class Track(NamedTuple):
+    """Where the robot is by odometry alone, and how long it took to come there."""
+
+    pose: Pose2
+    seconds: float
+    metres: float
+
+
 @dataclass(frozen=True)
 class Frame:
     """A camera frame: `grey` is a uint8 ndarray of shape (height, width)."""

@@ -11,15 +11,7 @@ import numpy as np
 from ..config import Config
 from ..core.drift import Drift
 from ..core.geometry import between, compose, wrap_angle
-from ..core.types import Pose2
-
-
-class Track(NamedTuple):
-    """Where the robot is by odometry alone, and how long it took to come there."""
-
-    pose: Pose2
-    seconds: float
-    metres: float
+from ..core.types import Pose2, Track
 
 
 class Sighting(NamedTuple):

@@ -7,11 +7,10 @@ from math import hypot
 
 import numpy as np
 
-from .relocaliser import Track
 from ..core.experience_map import ExperienceMap
 from ..core.geometry import between, between_rows, compose, compose_rows, invert
 from ..core.rows import Rows
-from ..core.types import IDENTITY, Pose2
+from ..core.types import IDENTITY, Pose2, Track
 from ..errors import MapError
 
 ALL = slice(None)
