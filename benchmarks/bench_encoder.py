@@ -20,7 +20,7 @@ import cv2
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core import kernel
 from dlsc_qbs_ros.core.local_view import Cosine, SequenceScore, ViewCells
-from dlsc_qbs_ros.core.preprocessing import make_view, view_to_inputs
+from dlsc_qbs_ros.core.preprocessing import make_view, PixelInput
 from dlsc_qbs_ros.core.types import Frame
 from dlsc_qbs_ros.pipeline.coder import Coder
 from dlsc_qbs_ros.pipeline.encoder import Encoded, Encoder
@@ -74,7 +74,7 @@ def interleave(tasks: Mapping[str, Task], frames: list[Frame], config: Config
     samples: dict[str, list[Sample]] = {name: [] for name in tasks}
     for i, frame in enumerate(frames):
         view = make_view(frame.grey, config.view)
-        inputs = view_to_inputs(view[None], config.view.standardise)[0]
+        inputs = np.asarray(PixelInput(view, config.view.standardise))
         for name in rng.permutation(list(tasks)).tolist():
             if i % EVERY.get(name, 1) == 0:
                 seconds, result = timed(tasks[name], frame, inputs)

@@ -13,7 +13,7 @@ from algorithm_1 import Literal
 import numpy as np
 
 from dlsc_qbs_ros.core.dictionary import DictionaryLearner
-from dlsc_qbs_ros.core.preprocessing import PixelInputs
+from dlsc_qbs_ros.core.preprocessing import PixelInput
 from dlsc_qbs_ros.core.surprise import SurpriseGate
 from dlsc_qbs_ros.pipeline.encoder import Encoder
 
@@ -80,10 +80,10 @@ def differences(config, frames, literal_config=None, stride=10):
         margin, decisions = abs(literal.s_2) / literal.largest_error, [gate.is_open]
         decisions.append(literal.s_2 > 0.0)
         result = encoder.process(frame)
-        inputs = PixelInputs(result.view.pixels[None], config.view.standardise)
+        inputs = PixelInput(result.view.pixels, config.view.standardise)
         error = learner.infer(inputs)
         gate.observe(error)
-        step = literal.step(np.asarray(inputs)[0], result.learned)
+        step = literal.step(np.asarray(inputs), result.learned)
         is_looked_at = k % stride == 0
         yield Difference(
             code=max(deviation(code, step.code)

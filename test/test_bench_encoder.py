@@ -8,10 +8,11 @@ from pathlib import Path
 from algorithm_1 import algorithm_1
 import cv2
 from dlsc_qbs_ros.core.dictionary import DictionaryLearner
-from dlsc_qbs_ros.core.preprocessing import make_view, view_to_inputs
+from dlsc_qbs_ros.core.preprocessing import make_view
 from dlsc_qbs_ros.sim.simulation import simulate_flight
 import numpy as np
 import pytest
+from vectors import vectors_of
 
 BENCHMARKS = Path(__file__).parent.parent / 'benchmarks'
 N_FRAMES = 20
@@ -36,7 +37,7 @@ def test_the_literal_case_is_algorithm_1(frames):
     cases = importlib.import_module('encoder_cases')
     config = cases.with_view(87, 65)
     step = cases.literal(config)
-    inputs = view_to_inputs(
+    inputs = vectors_of(
         np.array([make_view(frame.grey, config.view) for frame in frames]), True)
     codes = [step(frame, one) for frame, one in zip(frames, inputs)]
     options = config.encoder

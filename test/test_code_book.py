@@ -5,10 +5,10 @@ from dataclasses import replace
 from loop_flight import LateExecutor
 import numpy as np
 import pytest
+from vectors import vectors_of
 
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.inputs import ImageInputs, make_inputs
-from dlsc_qbs_ros.core.preprocessing import view_to_inputs
 from dlsc_qbs_ros.core.types import Code, Dictionary
 from dlsc_qbs_ros.pipeline.code_book import CodeBook, InlineExecutor
 from dlsc_qbs_ros.pipeline.coder import Coder
@@ -64,7 +64,7 @@ def test_no_views_have_no_codes():
 def test_stored_views_are_encoded_as_inputs_are():
     coder = Coder(dictionary(), CONFIG)
     stored = views(3)
-    inputs = view_to_inputs(np.array(stored), True).astype(float)
+    inputs = vectors_of(stored, True).astype(float)
     expected = coder.encode_products(inputs @ dictionary().atoms.T)
     np.testing.assert_allclose(coder.encode_views(stored), expected, atol=1e-5)
 

@@ -6,11 +6,12 @@ import tracemalloc
 from algorithm_1 import prox
 import numpy as np
 import pytest
+from vectors import Vector
 
 from dlsc_qbs_ros.config import Config, EncoderConfig
 from dlsc_qbs_ros.core import kernel, snapshot
 from dlsc_qbs_ros.core.dictionary import DictionaryLearner, HEADROOM
-from dlsc_qbs_ros.core.preprocessing import N_PAPER, PixelInputs
+from dlsc_qbs_ros.core.preprocessing import N_PAPER, PixelInput
 from dlsc_qbs_ros.errors import ConfigError
 from dlsc_qbs_ros.pipeline.encoder import Encoder
 
@@ -22,43 +23,46 @@ SMALL = EncoderConfig(n_atoms=8, eta_c=2e-3)
 IMAGE = Config().override({'encoder.input': 'image'})
 
 
-def stream(n_frames, n_inputs, n=1, seed=0):
-    """Return frames of n smooth input vectors each, (n_frames, n, n_inputs), that drift slowly."""
+def waves(n_frames, n_inputs, seed=0):
+    """Return smooth input vectors (n_frames, n_inputs), float32, that drift slowly."""
     rng = np.random.default_rng(seed)
-    waves = np.cos(2 * np.pi * (rng.integers(1, 9, (12, 1)) * np.linspace(0, 1, n_inputs)
-                                + rng.random((12, 1))))
-    weights = np.cumsum(rng.normal(0.0, 0.2, (n_frames, n, 12)), axis=0) + rng.normal(size=12)
-    inputs = weights @ waves
+    shapes = np.cos(2 * np.pi * (rng.integers(1, 9, (12, 1)) * np.linspace(0, 1, n_inputs)
+                                 + rng.random((12, 1))))
+    inputs = (np.cumsum(rng.normal(0.0, 0.2, (n_frames, 12)), axis=0) + rng.normal(size=12)
+              ) @ shapes
     inputs *= LENGTH / np.linalg.norm(inputs, axis=-1, keepdims=True)
     return inputs.astype(np.float32)
 
 
-def pixel_stream(n_frames, n_inputs, n=1):
-    """Yield frames of n input vectors as a camera gives them."""
-    waves = stream(n_frames, n_inputs, n) / (LENGTH / np.sqrt(n_inputs))
-    views = np.clip(np.rint(128 + 50 * waves), 0, 255).astype(np.uint8)
-    return (PixelInputs(frame[:, None], True) for frame in views)
+def stream(n_frames, n_inputs, seed=0):
+    """Return the input vectors of frames that drift slowly."""
+    return list(map(Vector, waves(n_frames, n_inputs, seed)))
+
+
+def pixel_stream(n_frames, n_inputs):
+    """Yield input vectors as a camera gives them."""
+    shades = waves(n_frames, n_inputs) / (LENGTH / np.sqrt(n_inputs))
+    views = np.clip(np.rint(128 + 50 * shades), 0, 255).astype(np.uint8)
+    return (PixelInput(view, True) for view in views)
 
 
 class Literal:
-    """Algorithm 1 on a batch, atoms as rows, float64; learning follows the mean gradient."""
+    """Algorithm 1, atoms as rows, float64."""
 
     def __init__(self, atoms, config):
         self.atoms, self._config = atoms.astype(np.float64), config
-        self.codes = None
+        self.code = np.zeros(len(atoms))
 
-    def step(self, batch):
-        """Infer and learn; return the mean reprojection error."""
-        batch = np.asarray(batch)
-        config, phi = self._config, self.atoms
-        codes = np.zeros((len(batch), len(phi))) if self.codes is None else self.codes
+    def step(self, vector):
+        """Infer and learn; return the reprojection error."""
+        config, phi, code, s = self._config, self.atoms, self.code, np.asarray(vector)
         for _ in range(config.n_coding):
-            codes = prox(codes - config.eta_c * (codes @ phi - batch) @ phi.T,
-                         config.eta_c * config.lambda_1)
-        error = np.mean(np.sum((codes @ phi - batch) ** 2, axis=1))
+            code = prox(code - config.eta_c * (code @ phi - s) @ phi.T,
+                        config.eta_c * config.lambda_1)
+        error = np.sum((code @ phi - s) ** 2)
         for _ in range(config.n_learning):
-            phi = phi - config.eta_d / len(batch) * codes.T @ (codes @ phi - batch)
-        self.codes, self.atoms = codes, phi
+            phi = phi - config.eta_d * np.outer(code, code @ phi - s)
+        self.code, self.atoms = code, phi
         return error
 
 
@@ -67,20 +71,20 @@ def deviation(a, b):
     return np.abs(a - b).max() / np.abs(b).max()
 
 
-def step(learner, batch):
-    error = learner.infer(batch)
-    learner.learn(batch)
+def step(learner, vector):
+    error = learner.infer(vector)
+    learner.learn(vector)
     return error
 
 
-def assert_is_algorithm_1(learner, batches, config, literal=None):
+def assert_is_algorithm_1(learner, vectors, config, literal=None):
     """Assert that the learner stays beside Algorithm 1; return the snapshots it took."""
     literal = literal or Literal(learner.atoms_, config)
     snapshots = [learner.snapshot_]
-    for batch in batches:
-        assert step(learner, batch) == pytest.approx(
-            literal.step(batch), abs=TOLERANCE * LENGTH ** 2)
-        assert deviation(learner.codes_, literal.codes) < TOLERANCE
+    for vector in vectors:
+        assert step(learner, vector) == pytest.approx(
+            literal.step(vector), abs=TOLERANCE * LENGTH ** 2)
+        assert deviation(learner.codes_, literal.code[None]) < TOLERANCE
         assert deviation(learner.atoms_, literal.atoms) < TOLERANCE
         assert deviation(learner.gram_, literal.atoms @ literal.atoms.T) < TOLERANCE
         if learner.snapshot_ is not snapshots[-1]:
@@ -110,27 +114,6 @@ def test_live_atoms_are_those_of_algorithm_1_through_many_snapshots(
     assert len(snapshots) > 4
 
 
-@pytest.mark.parametrize('n', [2, 5, 8])
-def test_a_batch_is_learned_from_by_its_mean_gradient_through_many_snapshots(n):
-    config = EncoderConfig(n_atoms=8, n_learning=2, eta_c=2e-3)
-    snapshots = assert_is_algorithm_1(
-        DictionaryLearner(40, config), stream(100, 40, n), config)
-    assert len(snapshots) > 4
-
-
-@pytest.mark.parametrize('n', [33, 63, 64])
-def test_a_frame_may_have_as_many_inputs_as_can_be_kept(n):
-    assert_is_algorithm_1(DictionaryLearner(300, SMALL), stream(8, 300, n), SMALL)
-
-
-@pytest.mark.parametrize('n_inputs, n_atoms, room', [(300, 8, 64), (MANY, 16, 32),
-                                                     (N_PAPER, 30, 30), (N_PAPER, 1, 20)])
-def test_a_frame_of_more_inputs_than_can_be_kept_is_refused(n_inputs, n_atoms, room):
-    learner = DictionaryLearner(n_inputs, EncoderConfig(n_atoms=n_atoms))
-    with pytest.raises(ValueError, match=f'{room + 1} inputs in a frame: expected at most {room}'):
-        learner.infer(np.zeros((room + 1, n_inputs), np.float32))
-
-
 def test_more_inputs_than_atoms_and_fewer_are_learned_from_alike():
     config = EncoderConfig(n_atoms=8, eta_c=2e-3)
     for n_inputs in (5, 8, 9):
@@ -139,11 +122,11 @@ def test_more_inputs_than_atoms_and_fewer_are_learned_from_alike():
 
 def test_frames_without_learning_change_codes_only():
     learner = DictionaryLearner(30, SMALL)
-    for batch in stream(20, 30):
-        step(learner, batch)
+    for vector in stream(20, 30):
+        step(learner, vector)
     atoms, gram = learner.atoms_, learner.gram_.copy()
-    for batch in stream(20, 30, seed=1):
-        learner.infer(batch)
+    for vector in stream(20, 30, seed=1):
+        learner.infer(vector)
     np.testing.assert_array_equal(learner.gram_, gram)
     np.testing.assert_allclose(learner.atoms_, atoms, rtol=0, atol=1e-6 * np.abs(atoms).max())
 
@@ -154,8 +137,8 @@ def test_frames_without_learning_change_codes_only():
 def test_learning_that_leaves_the_atoms_alone_takes_no_snapshot(config, scale):
     learner = DictionaryLearner(300, config)
     held, atoms = learner.snapshot_, learner.atoms_
-    for batch in np.float32(scale) * stream(200, 300):
-        step(learner, batch)
+    for values in np.float32(scale) * waves(200, 300):
+        step(learner, Vector(values))
     assert learner.snapshot_ is held
     np.testing.assert_array_equal(learner.atoms_, atoms)
 
@@ -166,10 +149,10 @@ def test_a_snapshot_is_taken_when_the_atoms_have_moved_by_epoch_change():
     config = EncoderConfig(n_atoms=8, eta_c=2e-3, epoch_change=0.2)
     learner = DictionaryLearner(300, config)
     n_taken = 0
-    for batch in stream(200, 300):
+    for vector in stream(200, 300):
         held, live = learner.snapshot_, learner.atoms_.astype(float)
         change = np.linalg.norm(live - held) / np.linalg.norm(held)
-        step(learner, batch)
+        step(learner, vector)
         is_new = learner.snapshot_ is not held
         assert is_new == (change > 0.2) or change == pytest.approx(0.2, abs=1e-4)
         n_taken += is_new
@@ -183,10 +166,10 @@ def test_a_snapshot_holds_the_atoms_as_they_were_when_it_was_begun(epoch_change)
     with columns_per_frame(100):  # of 700: begun in one frame, adopted six later
         learner = DictionaryLearner(700, config)
         atoms, n_taken = [], 0
-        for batch in stream(200, 700):
+        for vector in stream(200, 700):
             held = learner.snapshot_
             atoms.append(learner.atoms_)
-            step(learner, batch)
+            step(learner, vector)
             if learner.snapshot_ is not held:
                 assert deviation(learner.snapshot_, atoms[-7]) < 1e-6
                 assert deviation(learner.snapshot_, atoms[-6]) > 1e-4
@@ -200,10 +183,10 @@ def test_a_snapshot_over_several_frames_is_begun_when_the_atoms_have_moved_by_ep
     learner = DictionaryLearner(700, config)
     changes, adopted = [], [-1]
     with columns_per_frame(100):
-        for k, batch in enumerate(stream(200, 700)):
+        for k, vector in enumerate(stream(200, 700)):
             held, live = learner.snapshot_, learner.atoms_.astype(float)
             changes.append(np.linalg.norm(live - held) / np.linalg.norm(held))
-            step(learner, batch)
+            step(learner, vector)
             if learner.snapshot_ is not held:
                 begun = k - 6
                 assert changes[begun] > 0.2
@@ -214,13 +197,13 @@ def test_a_snapshot_over_several_frames_is_begun_when_the_atoms_have_moved_by_ep
 
 @pytest.mark.parametrize('n_columns', [1, 37, 300, 699])
 def test_a_snapshot_over_several_frames_gives_the_learner_of_one_at_once(n_columns):
-    batches, learners = stream(150, 700), []
+    vectors, learners = stream(150, 700), []
     for columns in (n_columns, 700):
         with columns_per_frame(columns):
             learner = DictionaryLearner(700, SMALL)
             codes = []
-            for batch in batches:
-                step(learner, batch)
+            for vector in vectors:
+                step(learner, vector)
                 codes.append(learner.codes_[0])
             learners.append((learner, codes))
     (slow, slow_codes), (quick, quick_codes) = learners
@@ -236,12 +219,11 @@ def test_a_snapshot_is_taken_before_the_room_for_inputs_runs_out():
     assert 200 / 64 - 1 < len(snapshots) < 200 / 32
 
 
-@pytest.mark.parametrize('n', [1, 3])
-def test_a_snapshot_is_finished_at_once_when_the_room_runs_out_meanwhile(n):
+def test_a_snapshot_is_finished_at_once_when_the_room_runs_out_meanwhile():
     config = EncoderConfig(n_atoms=8, eta_c=2e-3, epoch_change=NEVER)
     with columns_per_frame(1):
         snapshots = assert_is_algorithm_1(
-            DictionaryLearner(300, config), stream(200 // n, 300, n), config)
+            DictionaryLearner(300, config), stream(200, 300), config)
     assert len(snapshots) > 2
 
 
@@ -249,26 +231,27 @@ def test_adopting_a_snapshot_moves_nothing():
     """The frames it took were learned from: their inputs are kept, others are not."""
     with columns_per_frame(100):
         learner, n_taken = DictionaryLearner(700, SMALL), 0
-        for batch in stream(120, 700):
+        for vector in stream(120, 700):
             held, atoms, gram = learner.snapshot_, learner.atoms_, learner.gram_.copy()
-            learner.infer(batch)
+            learner.infer(vector)
             if learner.snapshot_ is not held:
                 assert deviation(learner.atoms_, atoms) < 1e-6
                 assert deviation(learner.snapshot_, atoms) > 1e-4
                 np.testing.assert_array_equal(learner.gram_, gram)
                 n_taken += 1
-            learner.learn(batch)
+            learner.learn(vector)
     assert n_taken > 3
 
 
 @pytest.mark.parametrize('n_inputs', [300, MANY])
 def test_the_products_for_published_codes_are_those_with_the_snapshot(n_inputs):
     learner = DictionaryLearner(n_inputs, SMALL)
-    for inputs in pixel_stream(40, n_inputs, 2):
+    for inputs in pixel_stream(40, n_inputs):
         learner.infer(inputs)
-        batch, held = np.asarray(inputs), learner.snapshot_.astype(float)
-        lengths = np.linalg.norm(batch, axis=1)[:, None] * np.linalg.norm(held, axis=1)
-        assert (np.abs(learner.snapshot_products_ - batch @ held.T) < TOLERANCE * lengths).all()
+        vector, held = np.asarray(inputs), learner.snapshot_.astype(float)
+        lengths = np.linalg.norm(vector) * np.linalg.norm(held, axis=1)
+        products, = learner.snapshot_products_
+        assert (np.abs(products - held @ vector) < TOLERANCE * lengths).all()
         assert deviation(learner.snapshot_gram_, held @ held.T) < TOLERANCE
         learner.learn(inputs)
 
@@ -276,11 +259,11 @@ def test_the_products_for_published_codes_are_those_with_the_snapshot(n_inputs):
 def test_a_snapshot_is_never_written_to():
     learner = DictionaryLearner(300, SMALL)
     held, copies = [], []
-    for batch in stream(150, 300):
+    for vector in stream(150, 300):
         if not held or learner.snapshot_ is not held[-1]:
             held.append(learner.snapshot_)
             copies.append(learner.snapshot_.copy())
-        step(learner, batch)
+        step(learner, vector)
     assert len(held) > 4
     for atoms, copy in zip(held, copies):
         assert (atoms.dtype, atoms.flags.writeable) == (np.float32, False)
@@ -291,8 +274,8 @@ def test_a_snapshot_is_never_written_to():
 
 def test_restart_goes_on_from_the_given_atoms_and_zero_codes():
     learner, atoms = DictionaryLearner(30, SMALL), DictionaryLearner(30, SMALL).atoms_[::-1]
-    for batch in stream(60, 30):
-        step(learner, batch)
+    for vector in stream(60, 30):
+        step(learner, vector)
     learner.restart(atoms)
     np.testing.assert_array_equal(learner.atoms_, atoms)
     assert not learner.codes_.any()
@@ -311,8 +294,8 @@ def learner_of(lambda_max, n_inputs=300):
     (0.3, 0.3), (0.79, 0.79), (0.9, HEADROOM), (0.99, HEADROOM)])
 def test_falling_back_goes_on_from_the_snapshot_with_room_below_the_limit(share, expected):
     learner = learner_of(share)
-    for batch in stream(5, 300):
-        step(learner, batch)
+    for vector in stream(5, 300):
+        step(learner, vector)
     snapshot_ = learner.snapshot_
     learner.fall_back()
     assert learner.lambda_max / learner.lambda_max_limit == pytest.approx(expected, rel=1e-5)
@@ -328,10 +311,10 @@ def test_a_learner_that_fell_back_goes_on_as_algorithm_1(share, n_frames):
     config = EncoderConfig(n_atoms=8, eta_c=2e-3, epoch_change=NEVER)
     with columns_per_frame(30):
         learner = learner_of(share)
-        for batch in stream(n_frames, 300, 2):
-            step(learner, batch)
+        for vector in stream(n_frames, 300):
+            step(learner, vector)
         learner.fall_back()
-        assert_is_algorithm_1(learner, stream(60, 300, 2, seed=1), config)
+        assert_is_algorithm_1(learner, stream(60, 300, seed=1), config)
 
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')
@@ -339,8 +322,8 @@ def test_a_learner_that_fell_back_goes_on_as_algorithm_1(share, n_frames):
 def test_a_learner_that_is_not_finite_is_not_stable_and_falls_back_to_one_that_is(bad):
     learner = DictionaryLearner(30, SMALL)
     step(learner, stream(1, 30)[0])
-    learner.infer(np.full((1, 30), bad, np.float32))
-    learner.learn(np.full((1, 30), bad, np.float32))
+    spoiled = Vector(np.full(30, bad, np.float32))
+    step(learner, spoiled)
     assert not learner.is_stable
     assert learner.lambda_max >= learner.lambda_max_limit
     learner.fall_back()
@@ -396,14 +379,14 @@ def test_at_the_size_of_the_paper_the_dictionary_is_held_three_times_at_most(
     if not has_kernel:
         monkeypatch.setattr(kernel, 'LIBRARY', None)
     config = EncoderConfig(n_atoms=24, eta_c=2e-3, epoch_change=0.1)
-    one, batches = 24 * N_PAPER * 4, pixel_stream(60, N_PAPER)
+    one, vectors = 24 * N_PAPER * 4, pixel_stream(60, N_PAPER)
     n_taken, gram = 0, None
     tracemalloc.start()
     try:
         learner = DictionaryLearner(N_PAPER, config)
         tracemalloc.reset_peak()
-        for batch in batches:
-            step(learner, batch)
+        for vector in vectors:
+            step(learner, vector)
             assert held_by(learner) <= 3 * one
             n_taken, gram = n_taken + (learner.snapshot_gram_ is not gram), learner.snapshot_gram_
         assert tracemalloc.get_traced_memory()[1] < 3.5 * one
@@ -413,16 +396,16 @@ def test_at_the_size_of_the_paper_the_dictionary_is_held_three_times_at_most(
 
 
 def test_nothing_grows_from_frame_to_frame():
-    batches = stream(100, 300)
+    vectors = stream(100, 300)
     learner = DictionaryLearner(300, SMALL)
     tracemalloc.start()
     try:
-        for batch in batches:
-            step(learner, batch)
+        for vector in vectors:
+            step(learner, vector)
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]
-        for batch in batches:
-            step(learner, batch)
+        for vector in vectors:
+            step(learner, vector)
         after, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

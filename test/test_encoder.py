@@ -4,8 +4,9 @@ from algorithm_1 import algorithm_1
 from loop_flight import CONFIG, frames
 import numpy as np
 import pytest
+from vectors import vectors_of
 
-from dlsc_qbs_ros.core.preprocessing import make_view, view_to_inputs
+from dlsc_qbs_ros.core.preprocessing import make_view
 from dlsc_qbs_ros.core.types import Frame
 from dlsc_qbs_ros.errors import ImageError, StampError
 from dlsc_qbs_ros.pipeline.coder import Coder
@@ -201,7 +202,7 @@ def test_a_learner_that_ran_away_starts_again_from_the_last_snapshot():
     for frame in FRAMES[:60]:
         result = encoder.process(frame)
         if before and before.ran_away:
-            inputs = view_to_inputs(result.view.pixels[None], True)
+            inputs = vectors_of([result.view.pixels], True)
             fresh = next(algorithm_1(inputs, held.T, eta_c=1e-2, eta_d=0.5, lambda_1=0.2,
                                      n_coding=10, n_learning=1))
             assert result.reprojection_error == pytest.approx(fresh.error, rel=1e-4)

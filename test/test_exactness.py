@@ -8,10 +8,11 @@ from algorithm_1 import algorithm_1
 from exactness import compared, literal_beside, SETS, step_size
 import numpy as np
 import pytest
+from vectors import vectors_of
 
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.dictionary import DictionaryLearner
-from dlsc_qbs_ros.core.preprocessing import make_view, view_to_inputs
+from dlsc_qbs_ros.core.preprocessing import make_view
 from dlsc_qbs_ros.core.types import Frame
 from dlsc_qbs_ros.sim.simulation import simulate_flight
 
@@ -96,7 +97,7 @@ def test_where_the_package_runs_away_so_does_algorithm_1():
 
 def literal(frames, config):
     views = np.array([make_view(frame.grey, config.view) for frame in frames])
-    inputs = view_to_inputs(views, config.view.standardise)
+    inputs = vectors_of(views, config.view.standardise)
     encoder = config.encoder
     return algorithm_1(
         inputs, DictionaryLearner(inputs.shape[1], encoder).atoms_.T, eta_c=encoder.eta_c,
@@ -110,7 +111,7 @@ def test_the_literal_algorithm_beside_the_package_is_algorithm_1_to_the_last_bit
         DictionaryLearner(PAPER.view.width * PAPER.view.height, PAPER.encoder), PAPER)
     for frame, expected in zip(frames, literal(frames, PAPER)):
         learned = beside.s_2 > 0.0
-        inputs = view_to_inputs(make_view(frame.grey, PAPER.view)[None], True)
+        inputs = vectors_of([make_view(frame.grey, PAPER.view)], True)
         step = beside.step(inputs[0], learned)
         np.testing.assert_array_equal(step.code, expected.code)
         np.testing.assert_array_equal(step.dictionary, expected.dictionary)

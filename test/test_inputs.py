@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from vectors import vectors_of
 
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.inputs import (
     CLIP, ImageInputs, make_inputs, neighbourhoods, patches_of, PatchInputs, pool,
     pooling_weights)
-from dlsc_qbs_ros.core.preprocessing import view_to_inputs
 from dlsc_qbs_ros.errors import ConfigError
 
 CONFIG = Config().override({'view.width': 20, 'view.height': 14, 'encoder.n_atoms': 6})
@@ -27,8 +27,7 @@ def test_the_configuration_names_the_input():
 def test_a_whole_view_is_one_vector_and_its_code_is_the_code():
     inputs = ImageInputs(CONFIG)
     assert (inputs.n_inputs, inputs.n_values) == (280, 6)
-    views = np.array([view(1), view(2)])
-    np.testing.assert_array_equal(inputs.of(views), view_to_inputs(views, True))
+    np.testing.assert_array_equal(inputs.of(view(1)), vectors_of([view(1)], True)[0])
     codes = np.arange(12.0).reshape(2, 6)
     np.testing.assert_array_equal(inputs.pooled(codes), codes)
 
@@ -36,7 +35,7 @@ def test_a_whole_view_is_one_vector_and_its_code_is_the_code():
 def test_patches_give_a_code_of_all_cells_and_atoms():
     inputs = PatchInputs(CONFIG)
     assert (inputs.n_inputs, inputs.n_values) == (25, 4 * 5 * 6)
-    patches = inputs.of(view()[None])
+    patches = inputs.of(view())
     assert (patches.shape, patches.dtype) == (((14 - 4) * (20 - 4), 25), np.float32)
     code = inputs.pooled(np.random.default_rng(0).normal(size=(160, 6)))
     assert (code.shape, code.dtype) == ((1, 120), np.float32)

@@ -5,7 +5,7 @@ import pytest
 
 from dlsc_qbs_ros.core import kernel
 from dlsc_qbs_ros.core.planes import BLOCK, PlaneProjection, Planes
-from dlsc_qbs_ros.core.preprocessing import PixelInputs
+from dlsc_qbs_ros.core.preprocessing import PixelInput
 
 pytestmark = pytest.mark.skipif(
     kernel.LIBRARY is None, reason='the compiled kernel was not built')
@@ -88,11 +88,11 @@ def test_sums_are_those_of_the_rows(n_columns):
 def test_products_are_exact_at_the_ends_of_all_ranges(n_columns, pixel, entry):
     atoms = np.full((3, n_columns), entry, np.float32)
     atoms[0] = 0.0
-    inputs = PixelInputs(np.full((1, 1, n_columns), pixel, np.uint8), False)
+    inputs = PixelInput(np.full((1, n_columns), pixel, np.uint8), False)
     projection = PlaneProjection(atoms, 2)
     projection.keep(inputs)
-    factor = inputs.affine[0, 0]
-    products = projection.products(inputs)[0]
+    factor = inputs.affine[0]
+    products = projection.products(inputs)
     np.testing.assert_allclose(products[:3], factor * pixel * atoms.astype(float).sum(axis=1),
                                rtol=2e-7)
     assert products[3] == pytest.approx(n_columns * (factor * pixel) ** 2, rel=1e-14)
@@ -102,12 +102,11 @@ def test_products_are_sums_of_integers():
     """They are those of the atoms that are read, far beyond the precision of float32."""
     n_columns = 3 * BLOCK + 300
     projection = PlaneProjection(normal(n_columns), 2)
-    inputs = PixelInputs(np.random.default_rng(1).integers(
-        0, 256, (2, 4, n_columns // 4), np.uint8), True)
-    factor, mean, _ = inputs.affine.T[:, :, None]
-    vectors = factor * (inputs.pixels - mean)
-    expected = vectors @ projection.atoms.T.astype(float)
-    np.testing.assert_allclose(projection.products(inputs), expected, rtol=1e-11)
+    for view in np.random.default_rng(1).integers(0, 256, (2, 4, n_columns // 4), np.uint8):
+        inputs = PixelInput(view, True)
+        factor, mean, _ = inputs.affine
+        expected = projection.atoms.astype(float) @ (factor * (inputs.pixels - mean))
+        np.testing.assert_allclose(projection.products(inputs), expected, rtol=1e-11)
 
 
 def test_atoms_are_made_once_and_never_written_to():

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from vectors import vectors_of
 
 from dlsc_qbs_ros.config import ViewConfig
+from dlsc_qbs_ros.core import kernel
 from dlsc_qbs_ros.core.preprocessing import (
-    DEVIATION, input_scale, make_view, MIN_CONTRAST, N_PAPER, view_to_inputs)
+    DEVIATION, input_scale, make_view, MIN_CONTRAST, N_PAPER, PixelInput)
 from dlsc_qbs_ros.errors import ImageError
 
 
@@ -98,7 +100,7 @@ def views(n, seed=0):
 
 
 def test_standardised_inputs_have_no_mean_and_one_deviation():
-    inputs = view_to_inputs(views(5), True) / input_scale(32 * 43)
+    inputs = vectors_of(views(5), True) / input_scale(32 * 43)
     assert (inputs.shape, inputs.dtype) == ((5, 32 * 43), np.float32)
     np.testing.assert_allclose(inputs.mean(axis=1), 0.0, atol=1e-5)
     np.testing.assert_allclose(inputs.std(axis=1), DEVIATION, rtol=1e-5)
@@ -108,39 +110,45 @@ def test_standardised_inputs_do_not_feel_brightness_and_contrast():
     view = views(1) // 4 * 2
     brighter = view // 2 + np.uint8(100)
     np.testing.assert_allclose(
-        view_to_inputs(brighter, True), view_to_inputs(view, True), atol=1e-3)
+        vectors_of(brighter, True), vectors_of(view, True), atol=1e-3)
 
 
 def test_inputs_of_the_paper_are_pixels_between_0_and_1():
     view = views(2)
-    np.testing.assert_allclose(view_to_inputs(view, False) / input_scale(32 * 43),
+    np.testing.assert_allclose(vectors_of(view, False) / input_scale(32 * 43),
                                view.reshape(2, -1) / 255.0, rtol=1e-6)
 
 
 def test_rows_are_read_from_left_to_right_and_top_to_bottom():
     view = np.zeros((1, 4, 5), np.uint8)
     view[0, 1, 2] = 255
-    assert view_to_inputs(view, False).argmax() == 1 * 5 + 2
+    assert vectors_of(view, False).argmax() == 1 * 5 + 2
+
+
+@pytest.mark.parametrize('has_kernel', [True, False])
+@pytest.mark.parametrize('standardise', [True, False])
+@pytest.mark.parametrize('height, width', [(1, 1), (32, 43), (260, 346)])
+def test_the_squared_length_of_an_input_is_known(
+        height, width, standardise, has_kernel, monkeypatch):
+    if not has_kernel:
+        monkeypatch.setattr(kernel, 'LIBRARY', None)
+    view = np.random.default_rng(0).integers(90, 256, (height, width), np.uint8)
+    vector = PixelInput(view, standardise)
+    values = np.asarray(vector).astype(float)
+    assert vector.squared_norm == pytest.approx(values @ values, rel=3e-6)
 
 
 @pytest.mark.parametrize('value', [0, 128, 255])
 def test_a_view_without_features_is_nothing(value):
-    inputs = view_to_inputs(np.full((1, 32, 43), value, np.uint8), True)
+    inputs = vectors_of(np.full((1, 32, 43), value, np.uint8), True)
     np.testing.assert_allclose(inputs, 0.0, atol=1e-3)
 
 
 def test_noise_around_a_plain_surface_is_not_blown_up():
     view = np.full((1, 32, 43), 100, np.uint8)
     view[0, ::2] += 2
-    inputs = view_to_inputs(view, True) / input_scale(32 * 43)
+    inputs = vectors_of(view, True) / input_scale(32 * 43)
     assert inputs.std() == pytest.approx(DEVIATION * 1.0 / MIN_CONTRAST, rel=1e-4)
-
-
-def test_a_view_counts_for_itself_in_a_batch():
-    batch = views(40)
-    for i in (0, 17, 39):
-        np.testing.assert_array_equal(
-            view_to_inputs(batch, True)[i], view_to_inputs(batch[i:i + 1], True)[0])
 
 
 def test_the_scale_is_1_at_the_size_of_the_paper_and_2_at_a_quarter_of_its_pixels():

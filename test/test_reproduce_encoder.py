@@ -9,11 +9,11 @@ from algorithm_1 import algorithm_1
 from loop_flight import events, frames
 import numpy as np
 import pytest
+from vectors import vectors_of
 import yaml
 
 from dlsc_qbs_ros.cli import reproduce_encoder
 from dlsc_qbs_ros.config import Config
-from dlsc_qbs_ros.core.preprocessing import view_to_inputs
 from dlsc_qbs_ros.core.types import Frame
 from dlsc_qbs_ros.evaluation.encoder_figure import (
     atoms_finding, distinct_atoms, replay_finding, run_away_finding, structure)
@@ -38,7 +38,7 @@ def views():
 def literal(views, config, start, **changes):
     names = ('eta_c', 'eta_d', 'lambda_1', 'n_coding', 'n_learning', 'gate')
     parameters = {name: getattr(config.encoder, name) for name in names}
-    inputs = view_to_inputs(np.array(views), config.view.standardise)
+    inputs = vectors_of(np.array(views), config.view.standardise)
     return list(algorithm_1(inputs, start.T, **{**parameters, **changes}))
 
 

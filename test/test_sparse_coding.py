@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.core import kernel, sparse_coding
-from dlsc_qbs_ros.core.sparse_coding import Lasso, proximal_steps, soft_threshold
+from dlsc_qbs_ros.core.sparse_coding import infer, Lasso, soft_threshold, sparse_codes
 
 LAMBDA_1 = 0.2
 
@@ -43,19 +43,36 @@ def test_soft_threshold_is_the_proximal_operator_of_the_paper():
     np.testing.assert_allclose(soft_threshold(x, 0.4), prox(x, 0.4), atol=1e-15)
 
 
-def test_proximal_steps_are_those_on_the_input_itself():
+@pytest.mark.parametrize('n_steps', [0, 1, 6])
+def test_inferring_takes_the_steps_on_the_input_itself(n_steps):
+    """Though the atoms are known as a mix of other rows only."""
+    (s, *_), atoms, _, gram = problem(0)
+    rng = np.random.default_rng(1)
+    mix = np.linalg.qr(rng.normal(size=(12, 12)))[0]
+    start = literal = rng.normal(size=12)
+    for _ in range(n_steps):
+        literal = prox(literal - 0.01 * atoms @ (literal @ atoms - s), 0.01 * LAMBDA_1)
+    b, code, gradient, change = infer(
+        mix.T @ atoms @ s, mix, start, gram, 0.01, LAMBDA_1, n_steps)
+    np.testing.assert_allclose(b, atoms @ s, atol=1e-12)
+    np.testing.assert_allclose(code, literal, atol=1e-12)
+    np.testing.assert_allclose(gradient, atoms @ (literal @ atoms - s), atol=1e-12)
+    assert change == pytest.approx(np.sum((literal @ atoms - s) ** 2) - s @ s)
+
+
+@pytest.mark.parametrize('has_kernel', [True, False])
+@pytest.mark.parametrize('n_steps', [1, 6])
+def test_sparse_codes_are_the_steps_from_zero_on_the_inputs_themselves(
+        n_steps, has_kernel, monkeypatch):
+    if not has_kernel:
+        monkeypatch.setattr(kernel, 'LIBRARY', None)
     inputs, atoms, b, gram = problem(0)
-    codes = np.random.default_rng(1).normal(size=b.shape)
-    literal = codes.copy()
-    for _ in range(6):
+    literal = np.zeros_like(b)
+    for _ in range(n_steps):
         literal = prox(literal - 0.01 * (literal @ atoms - inputs) @ atoms.T, 0.01 * LAMBDA_1)
-    np.testing.assert_allclose(
-        proximal_steps(codes, b, gram, 0.01, LAMBDA_1, 6), literal, atol=1e-12)
-
-
-def test_no_steps_leave_the_codes_alone():
-    _, _, b, gram = problem(0)
-    np.testing.assert_array_equal(proximal_steps(b, b, gram, 0.01, LAMBDA_1, 0), b)
+    codes = sparse_codes(b, gram, 0.01, LAMBDA_1, n_steps)
+    assert codes.dtype == np.float32
+    np.testing.assert_allclose(codes, literal, atol=1e-6)
 
 
 # The converged codes

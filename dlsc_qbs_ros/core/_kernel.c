@@ -183,35 +183,33 @@ static inline void multiply(const double *a, size_t m, const double *x, double *
 }
 
 /*
- * sparse_coding: codes, in place, their products with the inputs and their gradients, for inputs
- * whose products with n_rows rows are known; the sum of code (gradient - b)
+ * sparse_coding: a code, in place, the products of the input with the atoms and the gradient, from
+ * the products with n_rows rows, of which the atoms are a mix; returns code (gradient - b)
  */
 EVERY_X86_64
-double infer(const double *products, size_t n, size_t n_rows, const double *mix, size_t mix_stride,
+double infer(const double *products, size_t n_rows, const double *mix, size_t mix_stride,
              const double *gram, size_t m, double eta_c, double threshold, size_t n_steps,
              double *code, double *b, double *gradient)
 {
-    double sum = 0;
-    for (; n-- > 0; products += n_rows, code += m, b += m, gradient += m) {
-        for (size_t i = 0; i < m; i++) {
-            double product = 0;
-            for (size_t j = 0; j < n_rows; j++)
-                product += mix[i * mix_stride + j] * products[j];
-            b[i] = product;
-        }
-        for (size_t step = 0; step <= n_steps; step++) {
-            for (size_t j = 0; j < m && step > 0; j++) {
-                const double x = code[j] - eta_c * gradient[j];
-                const double taken = x > threshold ? threshold : x < -threshold ? -threshold : x;
-                code[j] = x - taken;  /* not 0 where x is not finite */
-            }
-            multiply(gram, m, code, gradient);
-            for (size_t j = 0; j < m; j++)
-                gradient[j] -= b[j];
-        }
-        for (size_t j = 0; j < m; j++)
-            sum += code[j] * (gradient[j] - b[j]);
+    for (size_t i = 0; i < m; i++) {
+        double product = 0;
+        for (size_t j = 0; j < n_rows; j++)
+            product += mix[i * mix_stride + j] * products[j];
+        b[i] = product;
     }
+    for (size_t step = 0; step <= n_steps; step++) {
+        for (size_t j = 0; j < m && step > 0; j++) {
+            const double x = code[j] - eta_c * gradient[j];
+            const double taken = x > threshold ? threshold : x < -threshold ? -threshold : x;
+            code[j] = x - taken;  /* not 0 where x is not finite */
+        }
+        multiply(gram, m, code, gradient);
+        for (size_t j = 0; j < m; j++)
+            gradient[j] -= b[j];
+    }
+    double sum = 0;
+    for (size_t j = 0; j < m; j++)
+        sum += code[j] * (gradient[j] - b[j]);
     return sum;
 }
 
@@ -318,15 +316,4 @@ int active_set(const double *inverse, const double *b, size_t m, double lambda_1
             return 1;
     }
     return 0;
-}
-
-/* snapshot: matrix -= x^T y for x of n rows of m and y of n rows of k */
-EVERY_X86_64
-void subtract_product(double *matrix, size_t stride, size_t n, size_t m, size_t k, const double *x,
-                      const double *y)
-{
-    for (size_t p = 0; p < n; p++)
-        for (size_t i = 0; i < m; i++)
-            for (size_t j = 0; j < k; j++)
-                matrix[i * stride + j] -= x[p * m + i] * y[p * k + j];
 }

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from . import kernel
 from .learner import Learner
 from .planes import PlaneProjection
-from .preprocessing import input_scale, N_PAPER, PixelInputs
+from .preprocessing import input_scale, N_PAPER, PixelInput
 from .projection import gram_of, Projection
-from .snapshot import NextSnapshot, Relation, subtract_product
+from .snapshot import NextSnapshot, Relation
 from .sparse_coding import infer
 from ..config import EncoderConfig
 
@@ -23,10 +25,7 @@ HEADROOM = 0.8
 
 class DictionaryLearner(Learner):
     """
-    Dictionary phi and warm-started codes of a stream of inputs.
-
-    A step takes a batch of n inputs that belong to one frame, one whole view in the paper's
-    algorithm. The dictionary follows the mean gradient of the batch.
+    Dictionary phi and warm-started code of a stream of whole views, one input vector a frame.
 
     A learning step adds to each atom multiples of the atoms and of the inputs. So nothing of
     size N is written: the live atoms are kept as a mix of the rows of a snapshot and of the
@@ -38,14 +37,10 @@ class DictionaryLearner(Learner):
 
     Attributes
     ----------
-    codes_ : ndarray of shape (n, n_atoms), float64
-        The codes of the last frame, where the next frame's iterations start.
     gram_ : ndarray of shape (n_atoms, n_atoms), float64
         atoms_ @ atoms_.T
     snapshot_gram_ : ndarray of shape (n_atoms, n_atoms), float64
         snapshot_ @ snapshot_.T
-    snapshot_products_ : ndarray of shape (n, n_atoms), float64
-        Products of the last frame's inputs with the snapshot's atoms.
 
     """
 
@@ -61,10 +56,20 @@ class DictionaryLearner(Learner):
     def atoms_(self) -> np.ndarray:
         """Make the live dictionary, the paper's phi transposed: (n_atoms, n_inputs), float32."""
         atoms = np.empty((self._config.n_atoms, self._rows.n_inputs), np.float32)
-        mix = self._live.mix[:, :self._n_rows]
+        mix = self._live.used(self._rows.n_kept)
         for columns, block in self._rows.combine(mix, 0, self._rows.n_inputs):
             atoms[:, columns] = block
         return atoms
+
+    @property
+    def codes_(self) -> np.ndarray:
+        """Return the code of the last frame, where the next frame's iterations start: one row."""
+        return self._code[None]
+
+    @property
+    def snapshot_products_(self) -> np.ndarray:
+        """Return the products of the last frame with the snapshot's atoms: one row."""
+        return self._products[None, :self._config.n_atoms]
 
     @property
     def snapshot_(self) -> np.ndarray:
@@ -74,7 +79,7 @@ class DictionaryLearner(Learner):
         return atoms
 
     def restart(self, atoms: np.ndarray) -> None:
-        """Go on from these atoms (n_atoms, n_inputs) and zero codes."""
+        """Go on from these atoms (n_atoms, n_inputs) and a code of zeros."""
         atoms = np.array(atoms, np.float32, order='C')
         self._rows = make_projection(atoms, self._room)
         self.snapshot_gram_ = gram_of(self.snapshot_)
@@ -82,7 +87,7 @@ class DictionaryLearner(Learner):
 
     def fall_back(self) -> None:
         """
-        Go on from the atoms of the snapshot and zero codes.
+        Go on from the atoms of the snapshot and a code of zeros.
 
         All are scaled down where their lambda_max is so near the limit that learning would soon
         be back here: atoms that only ever learn grow without bound.
@@ -95,89 +100,70 @@ class DictionaryLearner(Learner):
         self._live = Relation(self.snapshot_gram_, self._room, scale)
         self._next: NextSnapshot | None = None
         self.gram_ = scale * scale * self.snapshot_gram_
-        self.codes_ = np.zeros((1, self._config.n_atoms))
+        self._code = np.zeros(self._config.n_atoms)
         self._drift = self._measure_drift()
 
-    def infer(self, inputs: np.ndarray | PixelInputs) -> float:
+    def infer(self, vector: PixelInput) -> float:
         """
-        Infer the codes of a batch (lines 2 to 4) and return its mean reprojection error e_k.
+        Infer the code of the next frame (lines 2 to 4) and return its reprojection error e_k.
 
         Parameters
         ----------
-        inputs : PixelInputs, or ndarray of shape (n, n_inputs), float32
-            The n input vectors s_k of one frame; by the kernel, long ones only as PixelInputs.
-
-        Raises
-        ------
-        ValueError
-            When there are more of them than can be kept: `n_atoms` at the paper's size.
+        vector : PixelInput
+            The input vector s_k.
 
         """
-        if len(inputs) > self._room:
-            raise ValueError(f'{len(inputs)} inputs in a frame: expected at most {self._room}')
-        if len(self.codes_) != len(inputs):
-            self.codes_ = np.zeros((len(inputs), self._config.n_atoms))
         self._tend_snapshot()
-        self._products = self._rows.products(inputs)
-        self.snapshot_products_ = self._products[:, :self._config.n_atoms]
-        self._b, self.codes_, self._gradient, beyond = infer(
-            self._products, self._live.mix[:, :self._n_rows], self.codes_, self.gram_,
+        self._products = self._rows.products(vector)
+        self._b, self._code, self._gradient, beyond = infer(
+            self._products, self._live.used(self._rows.n_kept), self._code, self.gram_,
             self._config.eta_c, self._config.lambda_1, self._config.n_coding)
-        self._among = self._rows.gram(inputs)
-        return (float(self._among.trace()) + beyond) / len(inputs)
+        return vector.squared_norm + beyond
 
-    def learn(self, inputs: np.ndarray | PixelInputs) -> None:
+    def learn(self, vector: PixelInput) -> None:
         """
-        Take `n_learning` gradient steps on the dictionary from the batch just inferred.
+        Take `n_learning` gradient steps on the dictionary from the frame just inferred.
 
-        Lines 5 to 11. With residuals r = c phi - s, phi becomes phi - eta_d c^T r / n, and the
-        products with it follow: g = r phi^T = c G - b, s r^T = b c^T - s s^T, and
-        r r^T = g c^T - r s^T, of which only the symmetric part matters.
+        Lines 5 to 11. With the residual r = c phi - s, phi becomes phi - eta_d outer(c, r), and
+        the products with it follow: g = phi r = G c - b, s r = b c - s s and r r = g c - s r.
         """
-        codes, b, gradient = self.codes_, self._b, self._gradient
-        rate = self._config.eta_d / len(inputs)
-        if not (self._config.n_learning * rate * codes).any():
+        code, b, gradient, rate = self._code, self._b, self._gradient, self._config.eta_d
+        if self._config.n_learning * rate * (code @ code) == 0.0:
             return  # phi stays as it is: there is no input to keep
-        relations = [(self._live, self.snapshot_products_)]
+        relations = [(self._live, self._products[:self._config.n_atoms])]
         if self._next is not None:
             relations.append((self._next.live, self._next.products(self._products)))
-        kept = self._rows.keep(inputs)
+        slot = self._rows.keep(vector)
         for _ in range(self._config.n_learning):
-            input_residuals = b @ codes.T - self._among
-            residuals = gradient @ codes.T - input_residuals
+            of_input = b @ code - vector.squared_norm
+            squared = gradient @ code - of_input
             for relation, products in relations:
-                relation.learn(codes, products, kept, rate)
-            half = rate * gradient - (0.5 * rate * rate) * (residuals @ codes)
-            subtract_product(self.gram_, codes, half)
-            subtract_product(self.gram_, half, codes)
-            b = b - rate * input_residuals @ codes
-            gradient = codes @ self.gram_ - b
+                relation.learn(code, products, slot, rate)
+            half = code[:, None] * (rate * gradient - (0.5 * rate * rate * squared) * code)
+            self.gram_ -= half + half.T
+            b = b - (rate * of_input) * code
+            gradient = self.gram_ @ code - b
         self._drift = self._measure_drift()
-
-    @property
-    def _n_rows(self) -> int:
-        return self._config.n_atoms + self._rows.n_kept
 
     def _measure_drift(self) -> float:
         """Return how far the live atoms are from the snapshot's, in Frobenius norms of these."""
-        held = np.trace(self.snapshot_gram_)
-        squared = np.trace(self.gram_) - 2.0 * np.trace(self._live.cross) + held
-        return np.sqrt(max(squared, 0.0) / held)
+        held = self.snapshot_gram_.trace()
+        squared = self.gram_.trace() - 2.0 * self._live.cross.trace() + held
+        return sqrt(max(squared, 0.0) / held)
 
     def _tend_snapshot(self) -> None:
         """Work on a snapshot where one is begun or due, and see that there is room for inputs."""
-        n_frame = len(self.codes_)
         if (self._next is not None or self._drift > self._config.epoch_change
-                or self._rows.room < FRAMES_AHEAD * n_frame):
+                or self._rows.room < FRAMES_AHEAD):
             self._make_snapshot()
-        while self._rows.room < n_frame:
+        while not self._rows.room:
             self._make_snapshot()
 
     def _make_snapshot(self) -> None:
         """Begin a snapshot or go on with it for one frame; adopt it once it is whole."""
         if self._next is None:
             self._next = NextSnapshot(
-                self._rows, self._live.mix[:, :self._n_rows], self.gram_, self._room)
+                self._rows, self._live.used(self._rows.n_kept), self.gram_, self._room)
         self._next.make_columns()
         if self._next.is_whole:
             self._adopt(self._next)

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from .preprocessing import MIN_CONTRAST, PixelInputs
+from .preprocessing import MIN_CONTRAST, PixelInput
 from ..config import Config
 from ..errors import ConfigError
 
@@ -29,9 +29,9 @@ class ImageInputs:
         self.n_inputs = config.view.height * config.view.width
         self.n_values = config.encoder.n_atoms
 
-    def of(self, views: np.ndarray) -> PixelInputs:
-        """Return the input vectors of views (n_views, height, width), uint8."""
-        return PixelInputs(views, self._standardise)
+    def of(self, view: np.ndarray) -> PixelInput:
+        """Return the input vector of a view (height, width), uint8."""
+        return PixelInput(view, self._standardise)
 
     def pooled(self, codes: np.ndarray) -> np.ndarray:
         """Return the codes of the views (n_views, n_values): those of their inputs."""
@@ -64,9 +64,9 @@ class PatchInputs:
         self._weights = pooling_weights(rows, columns, cells_y, cells_x)
         self._neighbours = neighbourhoods(cells_y, cells_x)
 
-    def of(self, views: np.ndarray) -> np.ndarray:
-        """Return the patches (n_patches, size * size), float32, of one view, row by row."""
-        return patches_of(views[0], self._size)
+    def of(self, view: np.ndarray) -> np.ndarray:
+        """Return the patches (n_patches, size * size), float32, of a view, row by row."""
+        return patches_of(view, self._size)
 
     def pooled(self, codes: np.ndarray) -> np.ndarray:
         """Return the code of the view (1, n_cells * n_atoms), of length 1 or 0."""

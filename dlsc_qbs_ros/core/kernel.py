@@ -25,12 +25,11 @@ def _load() -> CDLL | None:
                 (library.project, (array, array, size, array, array, size, array, array, size,
                                    array, size, array, array, array)),
                 (library.sum_pixels, (array, size, array)),
-                (library.infer, (array, size, size, array, size, array, size, number, number,
-                                 size, array, array, array)),
+                (library.infer, (array, size, array, size, array, size, number, number, size,
+                                 array, array, array)),
                 (library.sparse_codes, (array, size, array, size, c_float, c_float, size, array,
                                         array, array)),
-                (library.active_set, (array, array, size, number, number, size, array, array)),
-                (library.subtract_product, (array, size, size, size, size, array, array))):
+                (library.active_set, (array, array, size, number, number, size, array, array))):
             function.argtypes, function.restype = arguments, None
     except (OSError, AttributeError):  # not there, of another machine, or of an earlier version
         return None
@@ -89,16 +88,17 @@ def sum_pixels(pixels: np.ndarray) -> tuple[float, float]:
     return tuple(sums)
 
 
-def infer(products: np.ndarray, mix: np.ndarray, codes: np.ndarray, gram: np.ndarray,
+def infer(products: np.ndarray, mix: np.ndarray, code: np.ndarray, gram: np.ndarray,
           eta_c: float, threshold: float, n_steps: int
           ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Return b, codes and gradients (n, m), float64, and the sum of codes (gradients - b)."""
-    b, gradients, codes = np.empty(codes.shape), np.empty(codes.shape), codes.copy()
-    total = LIBRARY.infer(
-        products.ctypes.data, *products.shape, mix.ctypes.data, mix.strides[0] // mix.itemsize,
-        gram.ctypes.data, len(gram), eta_c, threshold, n_steps, codes.ctypes.data, b.ctypes.data,
-        gradients.ctypes.data)
-    return b, codes, gradients, total
+    """Return b, code and gradient (m,), float64, and code (gradient - b)."""
+    m = len(code)
+    b, gradient, code = np.empty(m), np.empty(m), code.copy()
+    product = LIBRARY.infer(
+        products.ctypes.data, len(products), mix.ctypes.data, mix.strides[0] // mix.itemsize,
+        gram.ctypes.data, m, eta_c, threshold, n_steps, code.ctypes.data, b.ctypes.data,
+        gradient.ctypes.data)
+    return b, code, gradient, product
 
 
 def sparse_codes(b: np.ndarray, gram: np.ndarray, eta_c: float, threshold: float, n_steps: int
@@ -120,9 +120,3 @@ def active_set(inverse: np.ndarray, b: np.ndarray, lambda_1: float, weight: floa
     is_found = LIBRARY.active_set(inverse.ctypes.data, b.ctypes.data, m, lambda_1, weight,
                                   max_sets, code.ctypes.data, work.ctypes.data)
     return code if is_found else None
-
-
-def subtract_product(matrix: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
-    """Take x.T @ y from a matrix (m, k), whose rows are contiguous; x (n, m) and y (n, k)."""
-    LIBRARY.subtract_product(matrix.ctypes.data, matrix.strides[0] // matrix.itemsize,
-                             *x.shape, y.shape[1], x.ctypes.data, y.ctypes.data)

@@ -7,7 +7,7 @@ from typing import Iterator
 import numpy as np
 
 from . import kernel
-from .preprocessing import PixelInputs
+from .preprocessing import PixelInput
 from .projection import Projection, to_front
 
 # Columns that are written or read at a time; entries of a row in such a block share a unit.
@@ -60,8 +60,6 @@ class PlaneProjection(Projection):
     would: three bytes an entry of an atom, one of a kept input.
     """
 
-    columns = BLOCK
-
     def __init__(self, atoms: np.ndarray, room: int):
         self.n_inputs, self.n_kept = atoms.shape[1], 0
         self._kept = mapped((room, padded(self.n_inputs)), np.uint8)
@@ -91,17 +89,17 @@ class PlaneProjection(Projection):
         self._made, self._sums, self._spare = None, atoms.sums(), self._atoms
         return super().replace(atoms, n_forgotten)
 
-    def products(self, inputs: PixelInputs) -> np.ndarray:
-        """Multiply inputs and rows; return (n, n_atoms + n_kept), float64."""
-        products = np.empty((len(inputs), self._atoms.shape[0] + self.n_kept))
-        for pixels, affine, row in zip(inputs.pixels, inputs.affine, products):
-            kernel.project(self._atoms.high, self._atoms.low, self._atoms.units, self._sums,
-                           self._kept, self._affine, pixels, affine, self._work, row)
+    def products(self, vector: PixelInput) -> np.ndarray:
+        """Multiply the rows and an input vector; return (n_atoms + n_kept,), float64."""
+        products = np.empty(self._atoms.shape[0] + self.n_kept)
+        kernel.project(self._atoms.high, self._atoms.low, self._atoms.units, self._sums,
+                       self._kept, self._affine, vector.pixels, vector.affine, self._work,
+                       products)
         return products
 
-    def _store(self, slots: slice, inputs: PixelInputs) -> None:
-        self._kept[slots, :inputs.pixels.shape[1]] = inputs.pixels
-        self._affine[slots] = inputs.affine
+    def _store(self, slot: int, vector: PixelInput) -> None:
+        self._kept[slot, :self.n_inputs] = vector.pixels
+        self._affine[slot] = vector.affine
 
     def _move_to_front(self, slots: slice) -> None:
         to_front(self._kept, slots)

@@ -75,66 +75,56 @@ def _area_weights(n_in: int, n_out: int) -> np.ndarray:
     return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-class PixelInputs:
+class PixelInput:
     """
-    The input vectors s_k of a batch of views, each affine in its pixels: factor (pixel - mean).
+    The input vector s_k of a view, affine in its pixels: factor (pixel - mean).
 
-    `numpy.asarray` makes them: (n_views, n_pixels), float32.
+    `numpy.asarray` makes it: (n_pixels,), float32.
 
     Attributes
     ----------
-    pixels : ndarray of shape (n_views, n_pixels), uint8
-    affine : ndarray of shape (n_views, 3), float64
+    pixels : ndarray of shape (n_pixels,), uint8
+    affine : ndarray of shape (3,), float64
         Factor, mean, and the sum of the pixels.
-    squared_norms : ndarray of shape (n_views,), float64
+    squared_norm : float
 
     """
 
-    def __init__(self, views: np.ndarray, standardise: bool):
+    def __init__(self, view: np.ndarray, standardise: bool):
         """
-        Take views (n_views, height, width), uint8.
+        Take a view (height, width), uint8.
 
-        They get zero mean and the deviation `DEVIATION`, which undoes changes of lighting; or
-        else, as in the paper, are pixels in [0, 1].
+        It gets zero mean and the deviation `DEVIATION`, which undoes changes of lighting; or
+        else, as in the paper, its pixels are brought into [0, 1].
         """
-        self.pixels = np.ascontiguousarray(views).reshape(len(views), -1)
-        n = self.pixels.shape[1]
-        # What the moments are taken of, without the kernel, is all but the values.
-        self._values = None if kernel.LIBRARY else np.empty(self.pixels.shape, np.float32)
-        self.affine, self.squared_norms = np.empty((len(views), 3)), np.empty(len(views))
-        for i, pixels in enumerate(self.pixels):
-            total, variance = self._moments(i)
-            mean = total / n if standardise else 0.0
-            contrast = max(sqrt(variance), MIN_CONTRAST) / DEVIATION if standardise else 255.0
-            factor = input_scale(n) / contrast
-            self.affine[i] = factor, mean, total
-            self.squared_norms[i] = factor * factor * n * (variance + (total / n - mean) ** 2)
-            if self._values is not None:
-                if not standardise:
-                    self._values[i] = pixels
-                self._values[i] *= np.float32(factor)
-
-    def __len__(self) -> int:
-        return len(self.pixels)
+        self.pixels = np.ascontiguousarray(view).reshape(-1)
+        n, self._values = len(self.pixels), None
+        if kernel.LIBRARY is not None:
+            total, squares = kernel.sum_pixels(self.pixels)
+            deviations = max(squares - total * total / n, 0.0)
+        else:  # what the moments are taken of is all but the values
+            total = int(self.pixels.sum(dtype=np.uint32))
+            values = centred(self.pixels, total / n)
+            deviations = float(values @ values)
+            self._values = values if standardise else None
+        mean = total / n if standardise else 0.0
+        contrast = max(sqrt(deviations / n), MIN_CONTRAST) / DEVIATION if standardise else 255.0
+        factor = input_scale(n) / contrast
+        if self._values is not None:
+            self._values *= np.float32(factor)
+        self.affine = np.array((factor, mean, total))
+        self.squared_norm = factor * factor * (deviations + n * (total / n - mean) ** 2)
 
     def __array__(self, dtype=None, copy=None) -> np.ndarray:
         if self._values is None:
-            factors, means, _ = self.affine.T.astype(np.float32)[:, :, None]
-            self._values = self.pixels - means
-            self._values *= factors
+            factor, mean, _ = self.affine
+            self._values = centred(self.pixels, mean)
+            self._values *= np.float32(factor)
         return self._values
 
-    def _moments(self, i: int) -> tuple[float, float]:
-        """Return sum and variance of a view's pixels; without the kernel, centre its values."""
-        pixels, n = self.pixels[i], self.pixels.shape[1]
-        if self._values is None:
-            total, squares = kernel.sum_pixels(pixels)
-            return total, max(squares / n - (total / n) ** 2, 0.0)
-        total, values = int(pixels.sum(dtype=np.uint32)), self._values[i]
-        np.subtract(pixels, np.float32(total / n), out=values)
-        return total, float(np.dot(values, values)) / n
 
-
-def view_to_inputs(views: np.ndarray, standardise: bool) -> np.ndarray:
-    """Return the input vectors of views, as `PixelInputs` has them, as float32."""
-    return np.asarray(PixelInputs(views, standardise))
+def centred(pixels: np.ndarray, mean: float) -> np.ndarray:
+    """Return pixels - mean, float32."""
+    values = pixels.astype(np.float32)
+    values -= np.float32(mean)  # of one type: with pixels it would take twice as long
+    return values

@@ -6,10 +6,12 @@ from typing import Iterator
 
 import numpy as np
 
-from .preprocessing import PixelInputs
+from .preprocessing import PixelInput
 
 # Terms of a sum in 32 bits; such sums are added in 64.
 TERMS = 32768
+# Columns that are combined at a time: those of all rows stay in the second-level cache.
+COLUMNS = 512
 
 
 class Projection:
@@ -26,9 +28,6 @@ class Projection:
         The inputs kept.
 
     """
-
-    # Columns that are combined at a time: those of all rows stay in the second-level cache.
-    columns = 512
 
     def __init__(self, atoms: np.ndarray, room: int):
         self.n_inputs, self.n_kept = atoms.shape[1], 0
@@ -49,11 +48,11 @@ class Projection:
         """Forget all inputs kept."""
         self.n_kept = 0
 
-    def keep(self, inputs: np.ndarray) -> np.ndarray:
-        """Keep inputs (n, n_inputs), float32; return them in terms of all kept (n, n_kept)."""
-        start, self.n_kept = self.n_kept, self.n_kept + len(inputs)
-        self._store(slice(start, self.n_kept), inputs)
-        return np.eye(len(inputs), self.n_kept, start)
+    def keep(self, vector: PixelInput) -> int:
+        """Keep an input vector; return its slot, the first that was not in use."""
+        slot, self.n_kept = self.n_kept, self.n_kept + 1
+        self._store(slot, vector)
+        return slot
 
     def new_atoms(self) -> np.ndarray:
         """Return memory for other atoms, to be written in such columns as `combine` yields."""
@@ -70,36 +69,29 @@ class Projection:
         self._move_to_front(staying)
         return staying
 
-    def products(self, inputs: np.ndarray) -> np.ndarray:
-        """Multiply inputs (n, n_inputs) and rows; return (n, n_atoms + n_kept), float64."""
-        inputs = np.asarray(inputs)
-        return np.concatenate(
-            [inputs @ self._atoms.T, inputs @ self._kept[:self.n_kept].T], axis=1, dtype=float)
-
-    def gram(self, inputs: np.ndarray) -> np.ndarray:
-        """Return the products of inputs with each other (n, n), float64."""
-        if isinstance(inputs, PixelInputs) and len(inputs) == 1:
-            return inputs.squared_norms[None]  # known from making them
-        return gram_of(np.asarray(inputs))
+    def products(self, vector: PixelInput) -> np.ndarray:
+        """Multiply the rows and an input vector; return (n_atoms + n_kept,), float64."""
+        values, n_atoms = np.asarray(vector), len(self._atoms)
+        products = np.empty(n_atoms + self.n_kept)
+        products[:n_atoms] = self._atoms @ values
+        products[n_atoms:] = self._kept[:self.n_kept] @ values
+        return products
 
     def combine(self, weights: np.ndarray, start: int, stop: int
                 ) -> Iterator[tuple[slice, np.ndarray]]:
         """Yield columns of weights (m, n_atoms + n_kept) @ rows, float32, and which they are."""
-        of_atoms, of_inputs = np.split(weights.astype(np.float32), [self._atoms.shape[0]], axis=1)
-        for first in range(start, stop, self.columns):
-            columns = slice(first, min(first + self.columns, stop))
+        of_atoms, of_inputs = np.split(weights.astype(np.float32), [len(self._atoms)], axis=1)
+        for first in range(start, stop, COLUMNS):
+            columns = slice(first, min(first + COLUMNS, stop))
             block = of_atoms @ self._atoms[:, columns]
-            block += of_inputs @ self._kept_inputs(of_inputs.shape[1], columns)
+            block += of_inputs @ self._kept[:of_inputs.shape[1], columns]
             yield columns, block
 
-    def _store(self, slots: slice, inputs: np.ndarray) -> None:
-        self._kept[slots] = np.asarray(inputs)
+    def _store(self, slot: int, vector: PixelInput) -> None:
+        self._kept[slot] = np.asarray(vector)
 
     def _move_to_front(self, slots: slice) -> None:
         to_front(self._kept, slots)
-
-    def _kept_inputs(self, n: int, columns: slice) -> np.ndarray:
-        return self._kept[:n, columns]
 
 
 def to_front(array: np.ndarray, rows: slice) -> None:

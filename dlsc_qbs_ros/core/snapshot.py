@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import kernel
 from .planes import BLOCK
 from .projection import Projection
 
@@ -30,29 +29,32 @@ class Relation:
         self.mix = scale * np.eye(len(gram), len(gram) + room)
         self.cross = scale * gram
 
-    def learn(self, codes: np.ndarray, products: np.ndarray, kept: np.ndarray, rate: float
-              ) -> None:
+    def used(self, n_kept: int) -> np.ndarray:
+        """Return the mix of the rows in use, (n_atoms, n_atoms + n_kept)."""
+        return self.mix[:, :len(self.mix) + n_kept]
+
+    def learn(self, code: np.ndarray, products: np.ndarray, slot: int, rate: float) -> None:
         """
-        Take the step live -= rate * codes.T @ (codes @ live - inputs).
+        Take the step live -= rate * outer(code, code @ live - input).
 
         Parameters
         ----------
-        codes : ndarray of shape (n, n_atoms), float64
-            The codes of the inputs learned from.
-        products : ndarray of shape (n, n_atoms), float64
-            Products of the inputs with the snapshot's atoms.
-        kept : ndarray of shape (n, n_kept), float64
-            These inputs in terms of the kept ones.
+        code : ndarray of shape (n_atoms,), float64
+            The code of the input learned from.
+        products : ndarray of shape (n_atoms,), float64
+            Products of the input with the snapshot's atoms.
+        slot : int
+            Where this input is kept, the last one in use.
         rate : float
-            The learning rate, over n.
+            The learning rate.
 
         """
-        n_atoms = len(self.mix)
-        used = self.mix[:, :n_atoms + kept.shape[1]]
-        residuals = codes @ used
-        residuals[:, n_atoms:] -= kept
-        subtract_product(used, rate * codes, residuals)
-        subtract_product(self.cross, rate * codes, codes @ self.cross - products)
+        used = self.used(slot + 1)
+        residual = code @ used
+        residual[-1] -= 1.0
+        step = rate * code[:, None]
+        used -= step * residual
+        self.cross -= step * (code @ self.cross - products)
 
     def move_kept(self, kept: slice) -> None:
         """Follow the inputs in these slots, the only ones in use, to the first ones."""
@@ -60,14 +62,6 @@ class Relation:
         weights = self.mix[:, n_atoms:][:, kept].copy()
         self.mix[:, n_atoms:] = 0.0
         self.mix[:, n_atoms:n_atoms + weights.shape[1]] = weights
-
-
-def subtract_product(matrix: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
-    """Take x.T @ y from a matrix (m, k), float64; x (n, m) and y (n, k) have few rows."""
-    if kernel.LIBRARY is None:
-        matrix -= x.T @ y
-    else:
-        kernel.subtract_product(matrix, x, y)
 
 
 class NextSnapshot:
@@ -100,5 +94,5 @@ class NextSnapshot:
         self._n_made = stop
 
     def products(self, products: np.ndarray) -> np.ndarray:
-        """Return the products of inputs with its atoms, from those with the rows it is made of."""
-        return products[:, :self._mix.shape[1]] @ self._mix.T
+        """Return the products of an input with its atoms, from those with what it is made of."""
+        return self._mix @ products[:self._mix.shape[1]]

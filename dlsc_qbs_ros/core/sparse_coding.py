@@ -18,22 +18,26 @@ REGULAR = 1e-8
 
 def soft_threshold(x: np.ndarray, threshold: float) -> np.ndarray:
     """Return the proximal operator of threshold * ||x||_1 (paper, eq. proxop)."""
-    return x - x.clip(-threshold, threshold)
+    return x - np.minimum(np.maximum(x, -threshold), threshold)
 
 
-def proximal_steps(codes: np.ndarray, b: np.ndarray, gram: np.ndarray, eta_c: float,
-                   lambda_1: float, n_steps: int) -> np.ndarray:
+def infer(products: np.ndarray, mix: np.ndarray, code: np.ndarray, gram: np.ndarray,
+          eta_c: float, lambda_1: float, n_steps: int
+          ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """
     Carry out the local coding iterations (Algorithm 1, lines 2 to 4) in the Gram form.
 
-    phi^T (phi c - s) is G c - b, so an iteration costs M^2 and never touches the input.
+    phi^T (phi c - s) is G c - b, so an iteration costs M^2 and never touches the input. The
+    atoms are a mix of other rows, whose products with the input are known.
 
     Parameters
     ----------
-    codes : ndarray of shape (n, M), float64 or float32
+    products : ndarray of shape (n_rows,), float64
+        Products of the rows and the input.
+    mix : ndarray of shape (M, n_rows), float64
+        phi = mix @ rows
+    code : ndarray of shape (M,), float64
         Where the iterations start.
-    b : ndarray of shape (n, M), of the same type
-        Products s phi^T of inputs and atoms.
     gram : ndarray of shape (M, M), float64
         Products phi phi^T of the atoms.
     eta_c, lambda_1 : float
@@ -43,63 +47,43 @@ def proximal_steps(codes: np.ndarray, b: np.ndarray, gram: np.ndarray, eta_c: fl
 
     Returns
     -------
-    ndarray of shape (n, M), of the same type
+    b, code, gradient : ndarrays of shape (M,), float64
+        The gradient g is G c - b.
+    float
+        c (g - b), which is ||phi c - s||^2 - ||s||^2.
 
     """
-    # c - eta_c (c G - b) = c (I - eta_c G) + eta_c b
-    kept = (np.eye(len(gram)) - eta_c * gram).astype(b.dtype)
-    added = b.dtype.type(eta_c) * b
+    if kernel.LIBRARY is not None:
+        return kernel.infer(products, mix, code, gram, eta_c, eta_c * lambda_1, n_steps)
+    b = mix @ products
+    gradient = gram @ code - b
     for _ in range(n_steps):
-        codes = codes @ kept
-        codes += added
-        codes = soft_threshold(codes, b.dtype.type(eta_c * lambda_1))
-    return codes
+        code = soft_threshold(code - eta_c * gradient, eta_c * lambda_1)
+        gradient = gram @ code - b
+    return b, code, gradient, float(code @ (gradient - b))
 
 
 def sparse_codes(b: np.ndarray, gram: np.ndarray, eta_c: float, lambda_1: float, n_steps: int
                  ) -> np.ndarray:
     """
-    Return the codes (n, M), float32, that `proximal_steps` lead to from zero, one at least.
+    Return the codes (n, M), float32, that the same iterations lead to from zero, one at least.
 
-    Made for many inputs whose codes have few entries that are not 0: in float32 they take half
-    the time, and the kernel leaves out zeros.
+    Made for many inputs, b of shape (n, M), whose codes have few entries that are not 0: in
+    float32 they take half the time, and the kernel leaves out zeros.
     """
     b = np.ascontiguousarray(b, np.float32)
     if kernel.LIBRARY is not None:
         return kernel.sparse_codes(
             b, gram.astype(np.float32), eta_c, eta_c * lambda_1, n_steps)
-    return proximal_steps(np.zeros_like(b), b, gram, eta_c, lambda_1, n_steps)
-
-
-def infer(products: np.ndarray, mix: np.ndarray, codes: np.ndarray, gram: np.ndarray,
-          eta_c: float, lambda_1: float, n_steps: int
-          ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """
-    Carry out the local coding iterations for atoms that are a mix of other rows.
-
-    Parameters
-    ----------
-    products : ndarray of shape (n, n_rows), float64
-        Products of the inputs and the rows.
-    mix : ndarray of shape (M, n_rows), float64
-        phi = mix @ rows
-    codes, gram, eta_c, lambda_1, n_steps
-        See `proximal_steps`.
-
-    Returns
-    -------
-    b, codes, gradients : ndarrays of shape (n, M), float64
-        The gradients g are c G - b.
-    float
-        The sum of all c (g - b), which is ||phi c - s||^2 - ||s||^2.
-
-    """
-    if kernel.LIBRARY is not None:
-        return kernel.infer(products, mix, codes, gram, eta_c, eta_c * lambda_1, n_steps)
-    b = products @ mix.T
-    codes = proximal_steps(codes, b, gram, eta_c, lambda_1, n_steps)
-    gradients = codes @ gram - b
-    return b, codes, gradients, float(np.vdot(codes, gradients - b))
+    # c - eta_c (c G - b) = c (I - eta_c G) + eta_c b
+    kept = (np.eye(len(gram)) - eta_c * gram).astype(np.float32)
+    added, threshold = np.float32(eta_c) * b, np.float32(eta_c * lambda_1)
+    codes = np.zeros_like(b)
+    for _ in range(n_steps):
+        codes = codes @ kept
+        codes += added
+        codes -= codes.clip(-threshold, threshold)  # of so many, quicker than `soft_threshold`
+    return codes
 
 
 class Lasso:
@@ -156,15 +140,14 @@ class Lasso:
         for _ in range(MAX_SETS):
             multiplier = lambda_1 * signs
             code = inverse @ (b - multiplier)
-            zero = np.flatnonzero(signs == 0.0)
+            zero, = (signs == 0.0).nonzero()
             if len(zero):
                 columns = inverse[:, zero]
                 q = np.linalg.solve(columns[zero], code[zero])
                 code -= columns @ q
                 code[zero] = 0.0
                 multiplier[zero] = q
-            guess = multiplier + self._weight * code
-            found = np.sign(guess) * (np.abs(guess) > lambda_1)
+            found = np.sign(soft_threshold(multiplier + self._weight * code, lambda_1))
             if (found == signs).all():
                 return code
             signs = found

@@ -48,6 +48,7 @@ class Coder:
             # same to the last bit whatever other views are encoded beside it.
             batch = np.zeros((self._inputs.batch, *views[0].shape), np.uint8)
             batch[:len(views) - start] = views[start:start + self._inputs.batch]
-            b = np.asarray(self._inputs.of(batch)) @ self.dictionary.atoms.T
+            inputs = np.vstack([self._inputs.of(view) for view in batch])
+            b = inputs @ self.dictionary.atoms.T
             codes[start:start + len(batch)] = self.encode_products(b)[:len(views) - start]
         return codes

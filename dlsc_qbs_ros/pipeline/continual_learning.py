@@ -11,7 +11,7 @@ import numpy as np
 from .stamps import StampOrder, Succession
 from ..config import Config, ViewConfig
 from ..core.dictionary import DictionaryLearner
-from ..core.preprocessing import make_view, PixelInputs
+from ..core.preprocessing import make_view, PixelInput
 from ..core.surprise import SurpriseGate
 from ..core.types import Frame
 from ..errors import ImageError
@@ -87,14 +87,14 @@ def learn(views: Collection[np.ndarray], config: Config,
     learned, stable = np.zeros((2, len(views)), bool)
     with np.errstate(all='ignore'):  # a dictionary may run away here: that is the experiment
         for k, view in enumerate(views):
-            inputs = PixelInputs(view[None], config.view.standardise)
-            error = learner.infer(inputs)
+            vector = PixelInput(view, config.view.standardise)
+            error = learner.infer(vector)
             if not np.isfinite(error):
                 break
             errors[k] = error
             learned[k] = gate.is_open if schedule is None else schedule[k]
             if learned[k]:
-                learner.learn(inputs)
+                learner.learn(vector)
             gate.observe(error)
             stable[k] = learner.is_stable
         return Learning(errors, learned, stable, learner.atoms_)
@@ -112,7 +112,7 @@ def replay(views: Collection[np.ndarray], config: Config, atoms: np.ndarray) -> 
     with np.errstate(all='ignore'):
         learner.restart(atoms)
         for k, view in enumerate(views):
-            error = learner.infer(PixelInputs(view[None], config.view.standardise))
+            error = learner.infer(PixelInput(view, config.view.standardise))
             if not np.isfinite(error):
                 break
             errors[k] = error

@@ -103,7 +103,7 @@ class Encoder:
 
         """
         view = _next_view(frame, self._config.view, self._order)
-        inputs = self._inputs.of(view[None])
+        inputs = self._inputs.of(view)
         error = self._learner.infer(inputs)
         dictionary = self._new_dictionary(frame.stamp_ns)
         values, dictionary_ns = self._published_code()
