@@ -13,7 +13,7 @@ from ..config import Config, ViewConfig
 from ..core.dictionary import DictionaryLearner
 from ..core.inputs import make_inputs
 from ..core.patch_dictionary import PatchLearner
-from ..core.preprocessing import make_view
+from ..core.preprocessing import make_view, PixelInput
 from ..core.surprise import SurpriseGate
 from ..core.types import Code, Dictionary, Frame, View
 from ..errors import ConfigError, StampError
@@ -108,11 +108,7 @@ class Encoder:
         dictionary = self._new_dictionary(frame.stamp_ns)
         values, dictionary_ns = self._published_code()
         learned = self._gate.is_open or not self._config.encoder.gate
-        with np.errstate(over='ignore', invalid='ignore'):  # of a learner that runs away
-            if learned:
-                self._learner.learn(inputs)
-            ran_away = (self._config.encoder.protection and learned
-                        and not self._learner.is_stable)
+        ran_away = learned and self._learn(inputs)
         self._gate.observe(error)
         if ran_away:
             self._learner.fall_back()
@@ -122,6 +118,12 @@ class Encoder:
             view=View(frame.stamp_ns, view), dictionary=dictionary, reprojection_error=error,
             surprise=self._gate.surprise, learned=learned, ran_away=ran_away,
             epoch=self._epoch)
+
+    def _learn(self, inputs: PixelInput | np.ndarray) -> bool:
+        """Learn from the frame just inferred; return whether it takes the learner back."""
+        with np.errstate(over='ignore', invalid='ignore'):  # of a learner that runs away
+            self._learner.learn(inputs)
+            return self._config.encoder.protection and not self._learner.is_stable
 
     def _published_code(self) -> tuple[np.ndarray, int | None]:
         if self._coder is None:
