@@ -15,7 +15,7 @@
 #endif
 
 enum {
-    BLOCK = 4096,  /* entries of a row that share a unit */
+    BLOCK = 2048,  /* entries of a row that share a unit */
     GROUP = 256,  /* products of 16 and 8 bits whose sum fits into 32; rows are whole groups */
     AHEAD = 4 * GROUP,  /* entries fetched so far ahead hide the way from memory */
     ENTRY_MAX = 0x7fffff

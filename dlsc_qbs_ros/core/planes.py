@@ -10,8 +10,9 @@ from . import kernel
 from .preprocessing import PixelInput
 from .projection import Projection, to_front
 
-# Columns that are written or read at a time; entries of a row in such a block share a unit.
-BLOCK = 4096
+# Columns that are written or read at a time: those of all rows stay in the second-level cache.
+# Entries of a row in such a block share a unit.
+BLOCK = 2048
 # Rows end with a whole group of columns.
 GROUP = 256
 

@@ -8,7 +8,7 @@ from .planes import BLOCK
 from .projection import Projection
 
 # Columns of a new snapshot that are made per frame: an eighth of all at the paper's size.
-COLUMNS_PER_FRAME = 3 * BLOCK
+COLUMNS_PER_FRAME = 6 * BLOCK
 
 
 class Relation:
