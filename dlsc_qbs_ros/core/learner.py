@@ -38,7 +38,7 @@ class Learner:
         limit = self.lambda_max_limit
         power = self.gram_
         for exponent in (1, 2, 4):  # ||G^p||^(1/p) bounds lambda_max from above, ever closer
-            if np.linalg.norm(power) < limit ** exponent:
+            if np.vdot(power, power) < limit ** (2 * exponent):
                 return True
             power = power @ power
         return self.lambda_max < limit
