@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from vectors import Vector
 
 from dlsc_qbs_ros.core import snapshot
 from dlsc_qbs_ros.core.projection import Projection
@@ -95,7 +96,7 @@ def begun(world, n_columns, monkeypatch):
     monkeypatch.setattr(snapshot, 'COLUMNS_PER_FRAME', n_columns)
     rows = Projection(world.atoms.astype(np.float32), ROOM)
     for s in world.kept:
-        rows.keep(s.astype(np.float32))
+        rows.keep(Vector(s.astype(np.float32)))
     return rows, NextSnapshot(rows, world.mix, world.live @ world.live.T, ROOM)
 
 
@@ -112,7 +113,7 @@ def test_a_snapshot_is_made_some_columns_at_a_time(n_columns, n_frames, monkeypa
         assert not following.is_whole
         following.make_columns()
         if rows.room:
-            rows.keep(world.learn()[1].astype(np.float32))
+            rows.keep(Vector(world.learn()[1].astype(np.float32)))
     assert following.is_whole
     np.testing.assert_allclose(following.atoms, expected, atol=1e-5)
 

@@ -132,16 +132,15 @@ static inline double multiply_pixels(const uint8_t *row, const int16_t *pixels, 
 
 /*
  * planes: products of an input with the atoms and with kept inputs, all of these affine in pixels:
- * factor (pixel - mean). `affine` holds factor, mean and sum of the pixels; rows and `work` end
- * with zeros.
+ * factor (pixel - mean). `kept_affine` holds factor, mean and sum of the pixels of each kept one;
+ * rows and `work` end with zeros.
  */
 EVERY_X86_64
 void project(const int16_t *high, const uint8_t *low, size_t stride, const double *units,
              const double *sums, size_t n_atoms, const uint8_t *kept, const double *kept_affine,
-             size_t n_kept, const uint8_t *pixels, size_t n, const double *affine, int16_t *work,
-             double *products)
+             size_t n_kept, const uint8_t *pixels, size_t n, double factor, double mean, double sum,
+             int16_t *work, double *products)
 {
-    const double factor = affine[0], mean = affine[1], sum = affine[2];
     for (size_t j = 0; j < n; j++)
         work[j] = pixels[j];
     for (size_t i = 0; i < n_atoms; i++)

@@ -23,7 +23,7 @@ def _load() -> CDLL | None:
                 (library.join, (array, array, size, array, size, size, array, size)),
                 (library.centre, (array, size, array, size, size, array, size)),
                 (library.project, (array, array, size, array, array, size, array, array, size,
-                                   array, size, array, array, array)),
+                                   array, size, number, number, number, array, array)),
                 (library.sum_pixels, (array, size, array)),
                 (library.infer, (array, size, array, size, array, size, number, number, size,
                                  array, array, array)),
@@ -71,14 +71,13 @@ def centre(pixels: np.ndarray, affine: np.ndarray, values: np.ndarray) -> None:
 
 
 def project(high: np.ndarray, low: np.ndarray, units: np.ndarray, sums: np.ndarray,
-            kept: np.ndarray, kept_affine: np.ndarray, pixels: np.ndarray, affine: np.ndarray,
-            work: np.ndarray, products: np.ndarray) -> None:
+            kept: np.ndarray, kept_affine: np.ndarray, pixels: np.ndarray,
+            affine: tuple[float, float, float], work: np.ndarray, products: np.ndarray) -> None:
     """Write products (n_atoms + n_kept,), float64, of an input with atoms and kept inputs."""
     LIBRARY.project(
         high.ctypes.data, low.ctypes.data, len(work), units.ctypes.data, sums.ctypes.data,
         len(sums), kept.ctypes.data, kept_affine.ctypes.data, len(products) - len(sums),
-        pixels.ctypes.data, len(pixels), affine.ctypes.data, work.ctypes.data,
-        products.ctypes.data)
+        pixels.ctypes.data, len(pixels), *affine, work.ctypes.data, products.ctypes.data)
 
 
 def sum_pixels(pixels: np.ndarray) -> tuple[float, float]:

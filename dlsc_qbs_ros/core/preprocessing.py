@@ -84,7 +84,7 @@ class PixelInput:
     Attributes
     ----------
     pixels : ndarray of shape (n_pixels,), uint8
-    affine : ndarray of shape (3,), float64
+    affine : tuple of three floats
         Factor, mean, and the sum of the pixels.
     squared_norm : float
 
@@ -98,22 +98,16 @@ class PixelInput:
         else, as in the paper, its pixels are brought into [0, 1].
         """
         self.pixels = np.ascontiguousarray(view).reshape(-1)
-        n, self._values = len(self.pixels), None
-        if kernel.LIBRARY is not None:
-            total, squares = kernel.sum_pixels(self.pixels)
-            deviations = max(squares - total * total / n, 0.0)
-        else:  # what the moments are taken of is all but the values
-            total = int(self.pixels.sum(dtype=np.uint32))
-            values = centred(self.pixels, total / n)
-            deviations = float(values @ values)
-            self._values = values if standardise else None
-        mean = total / n if standardise else 0.0
-        contrast = max(sqrt(deviations / n), MIN_CONTRAST) / DEVIATION if standardise else 255.0
+        n, (total, deviations) = len(self.pixels), self._moments()
+        mean, contrast = total / n, max(sqrt(deviations / n), MIN_CONTRAST) / DEVIATION
+        if not standardise:
+            deviations += n * mean * mean
+            mean, contrast, self._values = 0.0, 255.0, None
         factor = input_scale(n) / contrast
         if self._values is not None:
             self._values *= np.float32(factor)
-        self.affine = np.array((factor, mean, total))
-        self.squared_norm = factor * factor * (deviations + n * (total / n - mean) ** 2)
+        self.affine = factor, mean, total
+        self.squared_norm = factor * factor * deviations
 
     def __array__(self, dtype=None, copy=None) -> np.ndarray:
         if self._values is None:
@@ -121,6 +115,16 @@ class PixelInput:
             self._values = centred(self.pixels, mean)
             self._values *= np.float32(factor)
         return self._values
+
+    def _moments(self) -> tuple[float, float]:
+        """Return the sum of the pixels and that of their squared deviations from the mean."""
+        n, self._values = len(self.pixels), None
+        if kernel.LIBRARY is not None:
+            total, squares = kernel.sum_pixels(self.pixels)
+            return total, max(squares - total * total / n, 0.0)
+        total = int(self.pixels.sum(dtype=np.uint32))
+        self._values = centred(self.pixels, total / n)
+        return total, float(self._values @ self._values)
 
 
 def centred(pixels: np.ndarray, mean: float) -> np.ndarray:
