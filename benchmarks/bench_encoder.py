@@ -19,8 +19,9 @@ from typing import Any, Callable, Mapping
 import cv2
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core import kernel
-from dlsc_qbs_ros.core.local_view import Cosine, SequenceScore, ViewCells
+from dlsc_qbs_ros.core.local_view import Cosine, ViewCells
 from dlsc_qbs_ros.core.preprocessing import make_view, PixelInput
+from dlsc_qbs_ros.core.sequence import SequenceScore
 from dlsc_qbs_ros.core.types import Frame
 from dlsc_qbs_ros.pipeline.coder import Coder
 from dlsc_qbs_ros.pipeline.encoder import Encoded, Encoder

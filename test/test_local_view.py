@@ -3,24 +3,7 @@
 import numpy as np
 import pytest
 
-from dlsc_qbs_ros.core.local_view import (
-    CentredCells, COMMON, Cosine, SequenceScore, ViewCells)
-
-
-def naive_score(rows, slack):
-    """Return the sequence score of the newest row, by the definition; -1 where no cell is."""
-    newest = rows[-1]
-    scores = []
-    for j in range(len(newest)):
-        total = newest[j]
-        for back in range(1, len(rows)):
-            row, best = rows[-1 - back], -1.0
-            for i in range(j - back - slack, j - back + slack + 1):
-                if 0 <= i < len(row):
-                    best = max(best, row[i])
-            total += best
-        scores.append(total / len(rows))
-    return scores
+from dlsc_qbs_ros.core.local_view import CentredCells, COMMON, Cosine, ViewCells
 
 
 # View cells
@@ -171,75 +154,3 @@ def test_a_large_book_is_alike_however_it_came_about_and_knows_blank_codes(monke
     assert not large.likeness(codes[7]).any()
     np.testing.assert_allclose(
         large.likeness(codes[5]), book(codes, CentredCells()).likeness(codes[5]), atol=1e-5)
-
-
-# Sequences
-
-@pytest.mark.parametrize('length, slack', [(1, 1), (2, 0), (3, 1), (5, 2), (12, 1)])
-@pytest.mark.parametrize('growth', [0, 1])
-def test_the_score_is_the_triple_loop(length, slack, growth):
-    rng = np.random.default_rng(length)
-    score, rows = SequenceScore(length, slack), []
-    for k in range(20):
-        rows = (rows + [rng.uniform(-1.0, 1.0, 7 + growth * k)])[-length:]
-        result = score.update(rows[-1])
-        if len(rows) < length:
-            assert result is None
-        else:
-            np.testing.assert_allclose(result, naive_score(rows, slack))
-
-
-def test_a_second_pass_in_step_scores_1_at_the_end_of_its_run():
-    score = SequenceScore(4, slack=0)
-    for k in range(10):
-        result = score.update(np.eye(10)[k])
-    assert result[9] == 1.0
-    assert (result[:9] < 0.3).all()
-
-
-@pytest.mark.parametrize('cells', [(3, 4, 6), (3, 5, 6)])
-def test_slack_forgives_one_cell_out_of_step(cells):
-    score = SequenceScore(3, slack=1)
-    for cell in cells:
-        result = score.update(np.eye(10)[cell])
-    assert result[6] == 1.0
-
-
-def test_without_slack_a_run_out_of_step_scores_less():
-    score = SequenceScore(3, slack=0)
-    for cell in (3, 4, 6):
-        result = score.update(np.eye(10)[cell])
-    assert result[6] < 0.7
-
-
-def test_a_run_that_would_start_before_the_first_cell_is_marked_down():
-    score = SequenceScore(3, slack=0)
-    for _ in range(3):
-        result = score.update(np.ones(5))
-    np.testing.assert_allclose(result, [-1 / 3, 1 / 3, 1.0, 1.0, 1.0])
-
-
-def test_a_view_that_does_not_continue_starts_a_run_of_its_own():
-    score = SequenceScore(2)
-    score.update(np.ones(4))
-    score.clear()
-    assert score.update(np.ones(4)) is None
-    assert score.update(np.ones(4)) is not None
-
-
-def test_a_run_that_was_cut_short_has_the_mean_of_what_there_is():
-    score, rows = SequenceScore(4, slack=0, shortest=2), np.eye(5) + 0.2
-    assert score.update(rows[0]) is None
-    np.testing.assert_allclose(score.update(rows[1]), [-0.4, 1.2, 0.2, 0.2, 0.2])
-    assert not score.is_whole
-    for row in rows[2:4]:
-        result = score.update(row)
-    assert score.is_whole
-    assert result[3] == pytest.approx(1.2)
-
-
-def test_similarities_are_left_as_they_were():
-    score, row = SequenceScore(2), np.linspace(0.0, 1.0, 5)
-    row.flags.writeable = False
-    score.update(row)
-    score.update(row)

@@ -63,6 +63,12 @@ class Robot:
             self._odometry = compose(self._odometry, seen)
             self.see(code)
 
+    def drive_blind(self, motions):
+        for motion, seen in zip(motions, drifting(motions)):
+            self._stamp_ns += PERIOD_NS
+            self.truth = compose(self.truth, motion)
+            self._odometry = compose(self._odometry, seen)
+
     def reset_odometry(self):
         self._segment += 1
         self._odometry = Pose2(50.0, -20.0, 2.0)
@@ -340,18 +346,35 @@ def test_as_published_the_map_is_relaxed_by_sweeps(monkeypatch):
 
 # Gaps
 
-def test_after_a_gap_a_place_where_it_is_expected_is_known_by_a_shorter_run():
+def test_a_gap_in_the_views_ends_no_run_of_matches():
     robot, codes = Robot(**{'ratslam.sequence_length': 12}), codes_along(len(LAP))
-    robot.drive(LAP + LAP[:60], np.concatenate([codes, codes[:60]]))
-    for _ in range(12):
-        robot._stamp_ns += PERIOD_NS
-        robot.truth, robot._odometry = (
-            compose(pose, STEP) for pose in (robot.truth, robot._odometry))
+    robot.drive(LAP + LAP[:40], np.concatenate([codes, codes[:40]]))
     n = len(robot.mapper.view_cells)
-    robot.drive([STEP] * 7, codes[72:])
+    robot.drive_blind([STEP] * 20)
+    robot.drive([STEP] * 20, codes[60:])
+    assert len(robot.mapper.view_cells) == n
+
+
+def test_after_a_long_gap_a_place_where_it_is_expected_is_known_by_a_shorter_run():
+    robot, codes = Robot(**{'ratslam.sequence_length': 10}), codes_along(len(LAP))
+    robot.drive(LAP + LAP[:30], np.concatenate([codes, codes[:30]]))
+    robot.drive_blind([STEP] * 40)
+    n = len(robot.mapper.view_cells)
+    robot.drive([STEP] * 7, codes[70:])
     assert len(robot.mapper.view_cells) == n + 3  # so many are too few
-    robot.drive([STEP] * 3, codes[79:])
+    robot.drive([STEP] * 3, codes[77:])
     assert len(robot.mapper.view_cells) == n + 3
+
+
+def test_what_the_first_lap_did_not_see_is_all_that_the_second_adds():
+    robot, codes = Robot(**{'ratslam.sequence_length': 12}), codes_along(len(LAP))
+    robot.drive(LAP[:30], codes)
+    robot.drive_blind([STEP] * 20)
+    robot.drive(LAP[50:], codes[50:])
+    robot.drive(LAP[:25], codes)
+    n = len(robot.mapper.view_cells)
+    robot.drive(LAP[25:80], codes[25:])
+    assert 5 <= len(robot.mapper.view_cells) - n <= 8  # in 2 m
 
 
 # Segments

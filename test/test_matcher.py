@@ -33,7 +33,7 @@ def match(here, sigma_m, likeness, n_recent=0, n_apart=0, config=CONFIG):
             journey.move(Pose2(0.0, 100.0, 0.0), 100.0)
         journey.move(IDENTITY, 0.1)
         journey.visits.create(Pose2(float(k), 0.0, 0.0))
-        matcher.view_cell.append(k)
+        matcher.add_experience(k)
     if not n_recent:
         journey.move(Pose2(0.0, 100.0, 0.0), 100.0)
     journey.put(here, IDENTITY)

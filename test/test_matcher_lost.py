@@ -28,7 +28,7 @@ def matcher(is_broken):
     made.drift.anchor(0.1, 0.1)
     found = Matcher(CONFIG, made)
     for cell in range(N):
-        found.view_cell.append(cell)
+        found.add_experience(cell)
     return found
 
 

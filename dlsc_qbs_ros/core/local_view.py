@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Protocol
 
 import numpy as np
@@ -190,61 +189,3 @@ def _centred(products: np.ndarray, pair: np.ndarray, squares: np.ndarray) -> np.
     energies = (squares - 2.0 * with_cells + of_mean) * (of_query - 2.0 * with_query + of_mean)
     return ((products[:, 0] - with_query - with_cells + of_mean)
             / np.sqrt(np.maximum(energies, np.float32(1e-12))))
-
-
-class SequenceScore:
-    """
-    The mean similarity of the last views to a run of view cells that were made in a row.
-
-    A single view of one shelf looks like one of the next; a run of them less so. View cells are
-    made at equal distances: a second pass meets one per view, give or take `slack`.
-    """
-
-    def __init__(self, length: int, slack: int = 1, shortest: int | None = None):
-        self._shortest = length if shortest is None else min(shortest, length)
-        # Of each view before, the best similarity within the slack of every cell.
-        self._best: deque[np.ndarray] = deque(maxlen=length)
-        self._slack = slack
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether so many views came since the last gap as make a run."""
-        return len(self._best) == self._best.maxlen
-
-    def clear(self) -> None:
-        """Forget the views so far: the next one does not continue them."""
-        self._best.clear()
-
-    def update(self, similarities: np.ndarray) -> np.ndarray | None:
-        """
-        Take in the similarities of the next view, shape (n_cells,).
-
-        Returns
-        -------
-        ndarray of shape (n_cells,) or None
-            The score of the run that ends in each view cell; None until `shortest` views came,
-            which is `length` if left out.
-
-        """
-        self._best.append(_best_around(similarities, self._slack))
-        length, n_cells = len(self._best), len(similarities)
-        if length < self._shortest:
-            return None
-        total = similarities.copy()
-        for back, best in enumerate(list(self._best)[-2::-1], start=1):
-            # `best` starts with the cell `slack` before the first, and that is `back` behind.
-            skipped = max(self._slack - back, 0)
-            start, best = max(back - self._slack, 0), best[skipped:]
-            end = max(min(start + len(best), n_cells), start)
-            total[:start] -= 1.0
-            total[start:end] += best[:end - start]
-            total[end:] -= 1.0
-        return total / length
-
-
-def _best_around(row: np.ndarray, slack: int) -> np.ndarray:
-    """Return the best of row[j - slack .. j + slack] for j from -slack to len(row) - 1 + slack."""
-    n = len(row) + 2 * slack
-    padded = np.full(n + 2 * slack, -1.0, row.dtype)
-    padded[2 * slack:2 * slack + len(row)] = row
-    return np.maximum.reduce([padded[k:k + n] for k in range(2 * slack + 1)])

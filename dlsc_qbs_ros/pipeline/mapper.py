@@ -15,7 +15,6 @@ from ..config import Config
 from ..core.drift import Drift
 from ..core.geometry import between, compose, invert
 from ..core.local_view import CentredCells, Cosine, Measure, ViewCells
-from ..core.rows import Rows
 from ..core.types import IDENTITY, OdometrySample, Pose2
 
 
@@ -40,8 +39,6 @@ class Mapper:
 
     # A view without a code, of darkness say, is waited out for so many distances of a keyframe.
     PATIENCE = 2.0
-    # Views this long apart are no run, if they are so many distances of a keyframe apart, too.
-    GAP_S, GAP = 1.0, 3.0
     # Experiences times steps of the relaxation: what bounds the time of an update.
     RELAXED_PER_UPDATE = 30_000
     # Of odometry that was saved: no source counts below 0.
@@ -88,7 +85,7 @@ class Mapper:
         n_cells = len(self.view_cells)
         is_keyframe = self._is_keyframe(odometry, 1.0 if code.any() else self.PATIENCE)
         if is_keyframe:
-            self._keyframe = odometry
+            self._begin_keyframe(odometry)
             self._view_event(code)
         self.packet.step(motion)
         if is_keyframe and self._active_cell is not None:
@@ -126,12 +123,12 @@ class Mapper:
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on, where there was no map yet, from what `state` returned; the codes are to come."""
-        self._matcher.view_cell = Rows(state['experience_view_cells'].copy())
         *pose, z_m, roll_rad, pitch_rad = state['odometry'].tolist()
         self.odometry = OdometrySample(int(state['odometry_stamp_ns'][0]), Pose2(*pose), z_m,
                                        roll_rad, pitch_rad, self.PAST_SEGMENT)
         self.packet.restore(state)
         self.journey.restore(state)
+        self._matcher.restore(state['experience_view_cells'])
 
     def cells_of(self, codes: np.ndarray) -> ViewCells:
         """Return the view cells of codes (n_cells, n_values): they may take the present place."""
@@ -182,9 +179,6 @@ class Mapper:
             seconds = (odometry.stamp_ns - self.odometry.stamp_ns) * 1e-9
             if odometry.segment == self.odometry.segment and seconds >= 0.0:
                 motion = between(self.odometry.pose, odometry.pose)
-                if seconds > self.GAP_S and hypot(
-                        motion.x_m, motion.y_m) > self.GAP * self._config.keyframe_distance_m:
-                    self._matcher.end_run()
             else:
                 self.journey.break_off()
         seconds = max(seconds, 0.0)  # a clock that falls back makes nothing younger
@@ -196,16 +190,24 @@ class Mapper:
 
     def _is_keyframe(self, odometry: OdometrySample, patience: float) -> bool:
         """Whether the view counts: after some motion; as published, every view does."""
-        if self._keyframe is None or self._keyframe.segment != odometry.segment:
-            self._matcher.clear()
+        last = self._keyframe
+        if self._is_published or last is None or last.segment != odometry.segment:
             return True
-        if self._is_published:
-            return True
-        motion = between(self._keyframe.pose, odometry.pose)
-        climb = odometry.z_m - self._keyframe.z_m
+        motion = between(last.pose, odometry.pose)
+        climb = odometry.z_m - last.z_m
         return (sqrt(motion.x_m ** 2 + motion.y_m ** 2 + climb ** 2)
                 >= patience * self._config.keyframe_distance_m
                 or abs(motion.yaw_rad) >= patience * self._config.keyframe_angle_rad)
+
+    def _begin_keyframe(self, odometry: OdometrySample) -> None:
+        """Let the next view continue those before as far as it does."""
+        last, self._keyframe = self._keyframe, odometry
+        if last is None or last.segment != odometry.segment:
+            self._matcher.clear()
+        else:
+            motion = between(last.pose, odometry.pose)
+            self._matcher.go_on((odometry.stamp_ns - last.stamp_ns) * 1e-9,
+                                hypot(motion.x_m, motion.y_m))
 
     def _view_event(self, code: np.ndarray) -> None:
         """Find the view in another piece, match it to an old view cell, or make a new one."""
@@ -269,7 +271,7 @@ class Mapper:
     def _create(self, odometry: OdometrySample) -> None:
         start = self._first_pose or odometry.pose
         self.visits.create(start if self.place is None else self.pose())
-        self._matcher.view_cell.append(self._active_cell)
+        self._matcher.add_experience(self._active_cell)
         self.packet.add_experience()
 
     def _meet(self, experience: int) -> None:

@@ -11,8 +11,8 @@ from .journey import Journey
 from .relocaliser import Relocaliser
 from ..config import Config
 from ..core.geometry import between, wrap_angle
-from ..core.local_view import SequenceScore
 from ..core.rows import Rows
+from ..core.sequence import SequenceScore
 from ..core.types import Pose2
 
 
@@ -39,25 +39,73 @@ class Matcher:
     # By this share of the leeway, a place where odometry did not expect the robot must be more
     # alike than any other in reach.
     LEAD = 0.5
+    # Views so long apart have a gap between them, if they are so many distances of a keyframe
+    # apart, too. How many lack is told by the last legs between visits.
+    GAP_S, GAP = 1.0, 3.0
+    N_LEGS = 40
 
     def __init__(self, config: Config, journey: Journey):
         self._config = config.ratslam
         self._is_published = config.ratslam.backend == 'published'
+        self._length = config.ratslam.sequence_length
         self._journey = journey
         self._visits, self._pieces = journey.visits, journey.pieces
         self._map = journey.visits.map
         self._sequence = SequenceScore(
-            1 if self._is_published else config.ratslam.sequence_length,
-            shortest=self.SHORTEST_RUN)
+            1 if self._is_published else self._length, shortest=self.SHORTEST_RUN)
         self._relocaliser = Relocaliser(config)
         # How alike the last view by itself and every cell are.
         self._likeness = np.zeros(0, np.float32)
         self.view_cell = Rows(np.zeros(0, np.int64))
+        # The stations of the view cells: their places in a row, with room for what lacks.
+        self._stations = Rows(np.zeros(0, np.int64))
 
     def reconfigure(self, config: Config) -> None:
         """Go on with other values of `live` parameters."""
         self._config = config.ratslam
         self._relocaliser.reconfigure(config)
+
+    def restore(self, view_cells: np.ndarray) -> None:
+        """Go on, with the visits restored, with the view cell of each experience, (n,)."""
+        self.view_cell = Rows(view_cells.copy())
+        _, first = np.unique(view_cells, return_index=True)
+        self._stations = Rows(self._stations_after(-1, first))
+
+    def add_experience(self, view_cell: int) -> None:
+        """Take note of the view cell of an experience that was just created."""
+        self.view_cell.append(view_cell)
+        stations = self._stations.values
+        if view_cell == len(stations):
+            last = int(stations[-1]) if len(stations) else -1
+            self._stations.extend(
+                self._stations_after(last, np.array([len(self.view_cell.values) - 1])))
+
+    def _stations_after(self, station: int, experiences: np.ndarray) -> np.ndarray:
+        """Return the stations of view cells that were made with experiences, (n,)."""
+        visits = self._visits.birth.values[experiences]
+        seconds, metres = self._visits.legs(visits)
+        steps = np.ones(len(visits), np.int64)
+        for k in np.flatnonzero(self._is_gap(seconds, metres)):
+            steps[k] += self._lacking(float(metres[k]), int(visits[k]))
+        return station + np.cumsum(steps)
+
+    def go_on(self, seconds: float, metres: float) -> None:
+        """Take note of how far the next view is from the last one."""
+        if self._is_gap(seconds, metres):
+            lacking = self._lacking(metres, len(self._visits.experience.values))
+            if lacking > self._length:
+                self.end_run()
+            else:
+                self._sequence.skip(lacking, self._stations.values)
+
+    def _is_gap(self, seconds, metres):
+        return (seconds > self.GAP_S) & (metres > self.GAP * self._config.keyframe_distance_m)
+
+    def _lacking(self, metres: float, visit: int) -> int:
+        """Return how many views there would have been on the way to a visit."""
+        _, legs_m = self._visits.legs(slice(max(visit - self.N_LEGS, 0), visit))
+        leg_m = max(np.median([0.0, *legs_m]), self._config.keyframe_distance_m)
+        return min(max(round(metres / leg_m) - 1, 0), 2 * self._length)
 
     def end_run(self) -> None:
         """Let the next view not continue those before."""
@@ -71,17 +119,19 @@ class Matcher:
     def score(self, likeness: np.ndarray) -> np.ndarray | None:
         """Return how alike the last views are to the run that ends in each cell; None at first."""
         self._likeness = likeness
-        return self._sequence.update(likeness)
+        return self._sequence.update(likeness, self._stations.values)
 
     def find(self, score: np.ndarray) -> int | None:
         """Return an experience of another piece of the map, where views alone tell of one."""
         pieces = self._pieces.of()
         is_apart = pieces != self._pieces.here
-        if self._is_published or not self._sequence.is_whole or not is_apart.any():
+        if self._is_published or not is_apart.any():
+            return None
+        of_experiences = np.where(is_apart, score[self.view_cell.values], -inf)
+        if not self._sequence.is_whole[self.view_cell.values[np.argmax(of_experiences)]]:
             return None
         return self._relocaliser.find(
-            np.where(is_apart, score[self.view_cell.values], -inf), self._map.poses, pieces,
-            self._visits.track())
+            of_experiences, self._map.poses, pieces, self._visits.track())
 
     def match(self, score: np.ndarray) -> Match | None:
         """Return the view cell that the last run of views ends in, if odometry allows one."""
@@ -97,15 +147,16 @@ class Matcher:
         is_asked = np.zeros(len(score), bool)
         is_asked[alike] = True
         distance_m, is_tracking = (of_cells[alike] for of_cells in self._gate(is_asked))
-        near, far = (
-            (self._config.tracking_threshold, self._config.threshold)
-            if self._sequence.is_whole else (self._config.threshold, inf))
+        near, far = np.where(
+            self._sequence.is_whole[alike],
+            [[self._config.tracking_threshold], [self._config.threshold]],
+            [[self._config.threshold], [inf]])
         needed = np.where(is_tracking, near, far)
         candidates = np.flatnonzero(np.isfinite(distance_m) & (score[alike] >= needed))
         if not len(candidates):
             return None
         best = candidates[np.argmax(score[alike[candidates]])]
-        match = Match(int(alike[best]), bool(needed[best] == far))
+        match = Match(int(alike[best]), bool(needed[best] == far[best]))
         is_doubtful = (self._is_ambiguous(match.view_cell, score, alike[np.isfinite(distance_m)])
                        if match.is_jump else self._is_outdone(match.view_cell, score))
         return None if is_doubtful else match
