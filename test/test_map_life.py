@@ -440,6 +440,8 @@ def with_value(value, at=0):
     ('visit_runs', with_value(10**6), 'runs there were'),
     ('visit_experiences', with_value(10**6), 'indices below'),
     ('closure_visits', lambda array: array + 10**6, 'indices below'),
+    ('looks', with_value(-1), 'numbers of stations'),
+    ('look_likenesses', lambda array: array[:, 1:], 'the shape'),
     ('robot_stand', with_value(10**6), 'a visit'),
     ('robot_drift', with_value(-1.0), 'none below 0'),
     ('put_segments', lambda array: np.array([[0, 9]]), 'segments there were'),

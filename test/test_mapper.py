@@ -355,6 +355,19 @@ def test_a_gap_in_the_views_ends_no_run_of_matches():
     assert len(robot.mapper.view_cells) == n
 
 
+def test_a_mapper_that_starts_again_after_a_gap_ends_no_run_either():
+    robot, codes = Robot(**{'ratslam.sequence_length': 12}), codes_along(len(LAP))
+    robot.drive(LAP + LAP[:40], np.concatenate([codes, codes[:40]]))
+    before, robot.mapper = robot.mapper, Robot(**{'ratslam.sequence_length': 12}).mapper
+    robot.mapper.restore(before.state())
+    robot.mapper.view_cells = before.view_cells
+    robot.mapper.bridge(segment=0)
+    n = len(robot.mapper.view_cells)
+    robot.drive_blind([STEP] * 20)
+    robot.drive([STEP] * 20, codes[60:])
+    assert len(robot.mapper.view_cells) == n
+
+
 def test_after_a_long_gap_a_place_where_it_is_expected_is_known_by_a_shorter_run():
     robot, codes = Robot(**{'ratslam.sequence_length': 10}), codes_along(len(LAP))
     robot.drive(LAP + LAP[:30], np.concatenate([codes, codes[:30]]))

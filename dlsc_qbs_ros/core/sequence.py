@@ -46,6 +46,22 @@ class SequenceScore:
         self._station = 0
         self.is_whole = np.zeros(0, bool)
 
+    def state(self, n_cells: int) -> dict[str, np.ndarray]:
+        """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
+        likenesses = np.full((len(self._looks), n_cells), -1.0, np.float32)
+        for row, look in zip(likenesses, self._looks):
+            row[:len(look.likeness)] = look.likeness
+        return {'look_likenesses': likenesses, 'looks': np.array(
+            [(self._station - look.station, look.slack) for look in self._looks], int
+        ).reshape(-1, 2)}
+
+    def restore(self, state: dict[str, np.ndarray], stations: np.ndarray) -> None:
+        """Go on from what `state` returned, with the stations (n_cells,) of the cells."""
+        self._looks.extend(
+            self._look(self._station - back, likeness, slack, stations)
+            for likeness, (back, slack) in zip(state['look_likenesses'].copy(),
+                                               state['looks'].tolist()))
+
     def clear(self) -> None:
         """Forget the views so far: the next one does not continue them."""
         self._looks.clear()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import replace
 from math import hypot, inf
 
 from .mapper import Mapper
@@ -79,7 +78,8 @@ class Follower:
         allowed_m = (self._config.keyframe_distance_m
                      + self.BRIDGED_SPEEDS * flown_m * seconds / max(flown_s, 1.0))
         if 0.0 <= seconds <= self.BRIDGED_S and hypot(motion.x_m, motion.y_m) <= allowed_m:
-            self._mapper.odometry = self._last = replace(last, segment=sample.segment)
+            self._mapper.bridge(sample.segment)
+            self._last = self._mapper.odometry
 
     def correct(self, odometry: OdometrySample) -> None:
         """Take over the mapper's correction, unless odometry has broken since that code."""

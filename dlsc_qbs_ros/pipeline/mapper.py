@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from math import hypot, inf, sqrt
 
@@ -116,19 +117,23 @@ class Mapper:
         """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
         last = self.odometry
         return {
-            'experience_view_cells': self._matcher.view_cell.values.copy(),
             'odometry_stamp_ns': np.array([last.stamp_ns]),
             'odometry': np.array([*last.pose, last.z_m, last.roll_rad, last.pitch_rad]),
-            **self.packet.state(), **self.journey.state()}
+            **self.packet.state(), **self.journey.state(), **self._matcher.state()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on, where there was no map yet, from what `state` returned; the codes are to come."""
         *pose, z_m, roll_rad, pitch_rad = state['odometry'].tolist()
-        self.odometry = OdometrySample(int(state['odometry_stamp_ns'][0]), Pose2(*pose), z_m,
-                                       roll_rad, pitch_rad, self.PAST_SEGMENT)
+        self.odometry = self._keyframe = OdometrySample(
+            int(state['odometry_stamp_ns'][0]), Pose2(*pose), z_m, roll_rad, pitch_rad,
+            self.PAST_SEGMENT)
         self.packet.restore(state)
         self.journey.restore(state)
-        self._matcher.restore(state['experience_view_cells'])
+        self._matcher.restore(state)
+
+    def bridge(self, segment: int) -> None:
+        """Take the odometry that was saved for part of a segment of what comes now."""
+        self.odometry = self._keyframe = replace(self.odometry, segment=segment)
 
     def cells_of(self, codes: np.ndarray) -> ViewCells:
         """Return the view cells of codes (n_cells, n_values): they may take the present place."""

@@ -65,11 +65,17 @@ class Matcher:
         self._config = config.ratslam
         self._relocaliser.reconfigure(config)
 
-    def restore(self, view_cells: np.ndarray) -> None:
-        """Go on, with the visits restored, with the view cell of each experience, (n,)."""
-        self.view_cell = Rows(view_cells.copy())
-        _, first = np.unique(view_cells, return_index=True)
+    def state(self) -> dict[str, np.ndarray]:
+        """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
+        return {'experience_view_cells': self.view_cell.values.copy(),
+                **self._sequence.state(len(self._stations.values))}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on, with the visits restored, from what `state` returned."""
+        self.view_cell = Rows(state['experience_view_cells'].copy())
+        _, first = np.unique(self.view_cell.values, return_index=True)
         self._stations = Rows(self._stations_after(-1, first))
+        self._sequence.restore(state, self._stations.values)
 
     def add_experience(self, view_cell: int) -> None:
         """Take note of the view cell of an experience that was just created."""
