@@ -12,13 +12,15 @@ ARGUMENTS = (
     ('image_topic', 'camera/image_raw', 'topic of the camera'),
     ('odom_topic', 'odom', 'topic of the odometry'),
     ('mavlink', '', 'address of a MAVLink link to take odometry from, in place of the topic'),
-    ('map_file', '', 'map to go on in and to save'),
+    ('map_file', '', 'map to go on in; it is saved each second, and at the end'),
     ('mode', '', 'mapping or localization'),
+    ('respawn', 'true', 'start a node again that ended, as after a crash in flight'),
 )
+RESPAWN_DELAY_S = 0.5
 # Where an argument is given, what parameters it sets.
 PARAMETERS = {
     'mavlink': lambda address: {'odometry.source': 'mavlink', 'mavlink.connection': address},
-    'map_file': lambda path: {'ratslam.map_file': path},
+    'map_file': lambda path: {'ratslam.map_file': path, 'ratslam.autosave_s': 1.0},
     'mode': lambda mode: {'ratslam.mode': mode},
 }
 
@@ -37,6 +39,7 @@ def start_nodes(context):
         Node(
             package='dlsc_qbs_ros', executable=name, name=name, output='screen',
             namespace=LaunchConfiguration('namespace'),
+            respawn=given('respawn').lower() == 'true', respawn_delay=RESPAWN_DELAY_S,
             parameters=[*parameters, overrides],
             remappings=[('image', LaunchConfiguration('image_topic')),
                         ('odom', LaunchConfiguration('odom_topic'))])
