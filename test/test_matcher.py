@@ -81,3 +81,16 @@ def test_a_place_outdoes_none_by_less_than_it_is_more_alike():
 def test_a_place_that_odometry_does_not_expect_must_be_the_only_one_in_reach(
         rival, likeness, expected):
     assert match(10, UNSURE_M, {8: 0.85, rival: likeness}) == expected
+
+
+def test_a_place_of_the_lost_stretch_may_lie_off_by_the_odometry_that_leads_to_it():
+    made = Journey(Config())
+    made.visits.create(IDENTITY)
+    made.break_off()
+    made.visits.create(IDENTITY)
+    made.move(Pose2(20.0, 0.0, 0.0), 20.0)
+    made.meet(0, IDENTITY)
+    made.drift.anchor(0.1, 0.1)
+    seen = Matcher(Config(), made)
+    assert seen.trust(0) == (pytest.approx(0.9), pytest.approx(0.5))
+    assert max(seen.trust(1)) < 0.5 and np.isfinite(seen.trust(1)).all()

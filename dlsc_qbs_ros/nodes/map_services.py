@@ -184,4 +184,3 @@ class MapServices:
             self._ratslam.put(*initial_pose_from_msg(msg))
         except OdometryError as error:
             self._node.get_logger().warning(f'initialpose refused: {error}')
-

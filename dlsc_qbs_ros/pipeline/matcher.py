@@ -9,6 +9,7 @@ import numpy as np
 
 from .journey import Journey
 from .relocaliser import Relocaliser
+from .stations import Stations
 from ..config import Config
 from ..core.geometry import between, wrap_angle
 from ..core.rows import Rows
@@ -39,10 +40,6 @@ class Matcher:
     # By this share of the leeway, a place where odometry did not expect the robot must be more
     # alike than any other in reach.
     LEAD = 0.5
-    # Views so long apart have a gap between them, if they are so many distances of a keyframe
-    # apart, too. How many lack is told by the last legs between visits.
-    GAP_S, GAP = 1.0, 3.0
-    N_LEGS = 40
 
     def __init__(self, config: Config, journey: Journey):
         self._config = config.ratslam
@@ -54,64 +51,39 @@ class Matcher:
         self._sequence = SequenceScore(
             1 if self._is_published else self._length, shortest=self.SHORTEST_RUN)
         self._relocaliser = Relocaliser(config)
-        # How alike the last view by itself and every cell are.
-        self._likeness = np.zeros(0, np.float32)
         self.view_cell = Rows(np.zeros(0, np.int64))
-        # The stations of the view cells: their places in a row, with room for what lacks.
-        self._stations = Rows(np.zeros(0, np.int64))
+        self._stations = Stations(self._visits, self._config)
 
     def reconfigure(self, config: Config) -> None:
         """Go on with other values of `live` parameters."""
-        self._config = config.ratslam
+        self._config = self._stations.config = config.ratslam
         self._relocaliser.reconfigure(config)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
         return {'experience_view_cells': self.view_cell.values.copy(),
-                **self._sequence.state(len(self._stations.values))}
+                **self._sequence.state(len(self._stations.of_cells.values))}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on, with the visits restored, from what `state` returned."""
         self.view_cell = Rows(state['experience_view_cells'].copy())
         _, first = np.unique(self.view_cell.values, return_index=True)
-        self._stations = Rows(self._stations_after(-1, first))
-        self._sequence.restore(state, self._stations.values)
+        self._stations.restore(first)
+        self._sequence.restore(state, self._stations.of_cells.values)
 
     def add_experience(self, view_cell: int) -> None:
         """Take note of the view cell of an experience that was just created."""
         self.view_cell.append(view_cell)
-        stations = self._stations.values
-        if view_cell == len(stations):
-            last = int(stations[-1]) if len(stations) else -1
-            self._stations.extend(
-                self._stations_after(last, np.array([len(self.view_cell.values) - 1])))
-
-    def _stations_after(self, station: int, experiences: np.ndarray) -> np.ndarray:
-        """Return the stations of view cells that were made with experiences, (n,)."""
-        visits = self._visits.birth.values[experiences]
-        seconds, metres = self._visits.legs(visits)
-        steps = np.ones(len(visits), np.int64)
-        for k in np.flatnonzero(self._is_gap(seconds, metres)):
-            steps[k] += self._lacking(float(metres[k]), int(visits[k]))
-        return station + np.cumsum(steps)
+        if view_cell == len(self._stations.of_cells.values):
+            self._stations.add(len(self.view_cell.values) - 1)
 
     def go_on(self, seconds: float, metres: float) -> None:
         """Take note of how far the next view is from the last one."""
-        if self._is_gap(seconds, metres):
-            lacking = self._lacking(metres, len(self._visits.experience.values))
-            if lacking > self._length:
-                self.end_run()
-            else:
-                self._sequence.skip(lacking, self._stations.values)
-
-    def _is_gap(self, seconds, metres):
-        return (seconds > self.GAP_S) & (metres > self.GAP * self._config.keyframe_distance_m)
-
-    def _lacking(self, metres: float, visit: int) -> int:
-        """Return how many views there would have been on the way to a visit."""
-        _, legs_m = self._visits.legs(slice(max(visit - self.N_LEGS, 0), visit))
-        leg_m = max(np.median([0.0, *legs_m]), self._config.keyframe_distance_m)
-        return min(max(round(metres / leg_m) - 1, 0), 2 * self._length)
+        missing = self._stations.missing(seconds, metres)
+        if missing > self._length:
+            self.end_run()
+        elif missing:
+            self._sequence.skip(missing, self._stations.of_cells.values)
 
     def end_run(self) -> None:
         """Let the next view not continue those before."""
@@ -124,8 +96,7 @@ class Matcher:
 
     def score(self, likeness: np.ndarray) -> np.ndarray | None:
         """Return how alike the last views are to the run that ends in each cell; None at first."""
-        self._likeness = likeness
-        return self._sequence.update(likeness, self._stations.values)
+        return self._sequence.update(likeness, self._stations.of_cells.values)
 
     def find(self, score: np.ndarray) -> int | None:
         """Return an experience of another piece of the map, where views alone tell of one."""
@@ -227,7 +198,7 @@ class Matcher:
             (offset_m <= reach * np.hypot(sigma_m, self._config.match_position_sigma_m))
             & (turn_rad <= reach * np.hypot(sigma_rad, self._config.match_yaw_sigma_rad))
             & (self._pieces.of(asked) == self._pieces.here)
-            & self._is_old_enough(asked) & self._is_still_seen(asked))
+            & self._is_old_enough(asked))
         # Near by chance is not tracking: odometry must be sure enough to tell.
         is_near = allowed & (np.maximum(offset_m, sigma_m) <= self._config.tracking_distance_m)
         cells = self.view_cell.values[asked]
@@ -265,17 +236,6 @@ class Matcher:
         experiences = np.flatnonzero(is_asked[self.view_cell.values])
         is_here = self._pieces.of(experiences) == self._pieces.here
         return experiences[is_here & self._is_old_enough(experiences)]
-
-    def _is_still_seen(self, experiences: np.ndarray) -> np.ndarray:
-        """
-        Return whether the last view by itself is like experiences from before odometry broke.
-
-        A run of views outlives its place: where the way parts from that of another flight, the
-        earlier views carry the score on, and would turn the robot after the other.
-        """
-        likeness = self._likeness[self.view_cell.values[experiences]]
-        return ((likeness >= self._config.tracking_threshold)
-                | ~self._pieces.is_foreign(experiences))
 
     def _is_old_enough(self, experiences: np.ndarray) -> np.ndarray:
         """Return whether experiences may be met again; those of another piece always may."""

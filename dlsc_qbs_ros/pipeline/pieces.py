@@ -70,10 +70,6 @@ class Pieces:
         """Whether the robot knows where it is in the map, rather than in a piece apart."""
         return self.here == self.main
 
-    def is_foreign(self, experiences: np.ndarray) -> np.ndarray:
-        """Whether odometry broke between the robot and when experiences were created."""
-        return self._segment(experiences) != self._visits.flown_now[2]
-
     def detour(self, experiences: int | np.ndarray) -> np.ndarray:
         """
         Return the seconds and metres of odometry between experiences and the robot's anchor.
