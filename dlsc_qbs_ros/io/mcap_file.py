@@ -41,10 +41,12 @@ def file_topics(path: Path) -> dict[str, RecordedTopic]:
     """
     Return the topics of a file; one in another encoding than CDR is left out, with a warning.
 
+    A file that was cut before its first topic has none.
+
     Raises
     ------
     RecordingError
-        When the file cannot be read, is no MCAP file, is damaged or ends before its first topic.
+        When the file cannot be read, is no MCAP file or is damaged.
 
     """
     schemas: dict[int, Schema] = {}
@@ -52,8 +54,6 @@ def file_topics(path: Path) -> dict[str, RecordedTopic]:
     with opened(path) as stream:
         if not is_finished(stream):
             _collect(_records_before_cut(path, stream), schemas, channels)
-            if not channels:
-                raise RecordingError(f'{path}: cut before its first message')
         else:
             try:
                 summary = make_reader(stream, validate_crcs=True).get_summary()

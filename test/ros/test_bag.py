@@ -316,9 +316,19 @@ def test_a_file_without_its_end_loses_no_message(bag, caplog, missing):
 
 
 @pytest.mark.parametrize('size', [8, 9, 20, 100, 2000])
-def test_a_file_cut_before_its_first_message_is_refused(bag, size):
-    with pytest.raises(RecordingError, match='cut.mcap: cut before its first message'):
-        next(read_bag(cut(bag, size)))
+def test_a_file_cut_before_its_first_message_holds_none_and_is_named(bag, caplog, size):
+    path = cut(bag, size)
+    assert bag_topics(path) == {}
+    assert list(read_bag(path)) == []
+    assert f'{path}: cut short, its end is missing: 0 messages' in caplog.text
+
+
+def test_a_file_cut_before_its_first_message_keeps_nobody_from_those_beside_it(tmp_path, caplog):
+    bag = write(tmp_path / 'flight', messages())
+    (bag / 'metadata.yaml').unlink()
+    (bag / 'flight_1.mcap').write_bytes(mcap_of(bag).read_bytes()[:20])
+    assert list(read_bag(bag)) == messages()
+    assert 'flight_1.mcap: cut short' in caplog.text
 
 
 @pytest.mark.parametrize('content', [b'', b'\x89MCA', b'#ROSBAG V2.0\n', bytes(100)])
