@@ -15,8 +15,8 @@ import time
 from typing import Callable
 
 from dlsc_qbs_ros.config import MavlinkConfig, OdometryConfig
-from dlsc_qbs_ros.io.mavlink import MavlinkLink
-from dlsc_qbs_ros.io.mavlink_framing import dialect
+from dlsc_qbs_ros.io.mavlink.framing import dialect
+from dlsc_qbs_ros.io.mavlink.link import MavlinkLink
 from dlsc_qbs_ros.pipeline.odometry import OdometryNormaliser
 from mavlink_mutations import attitude, heartbeat, odometry
 

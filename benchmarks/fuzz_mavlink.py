@@ -23,8 +23,8 @@ from typing import Callable
 
 from dlsc_qbs_ros.config import MavlinkConfig, OdometryConfig
 from dlsc_qbs_ros.core.types import OdometrySample
-from dlsc_qbs_ros.io.mavlink_companion import Companion
-from dlsc_qbs_ros.io.mavlink_framing import dialect
+from dlsc_qbs_ros.io.mavlink.companion import Companion
+from dlsc_qbs_ros.io.mavlink.framing import dialect
 from dlsc_qbs_ros.pipeline.odometry import OdometryNormaliser
 from mavlink_mutations import damaged, forged, heartbeat, MESSAGES, odometry
 

@@ -24,9 +24,9 @@ from dlsc_qbs_ros.core.types import GroundTruthSample
 from dlsc_qbs_ros.evaluation.alignment import align
 from dlsc_qbs_ros.evaluation.association import associate
 from dlsc_qbs_ros.evaluation.metrics import mae_l, mae_m
-from dlsc_qbs_ros.io.bag import read_bag
 from dlsc_qbs_ros.io.flight import read_flight
 from dlsc_qbs_ros.io.map_file import read_map
+from dlsc_qbs_ros.io.recordings.bag import read_bag
 from dlsc_qbs_ros.pipeline.map_state import check, refuse_other
 from dlsc_qbs_ros.ros.serialization import message_type
 from dlsc_qbs_ros.ros.stamps import stamp_to_ns

@@ -6,7 +6,7 @@ import math
 import random
 import struct
 
-from dlsc_qbs_ros.io.mavlink_framing import dialect
+from dlsc_qbs_ros.io.mavlink.framing import dialect
 
 UNKNOWN = [math.nan] + [0.0] * 20
 FIELDS = [math.nan, math.inf, -math.inf, 0.0, 3e38, -1e-40, 1.0]

@@ -16,8 +16,8 @@ import tempfile
 
 from dlsc_qbs_ros.config import RecorderConfig
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io.mcap_repair import is_cut
-from dlsc_qbs_ros.io.recording import Recording
+from dlsc_qbs_ros.io.recordings.mcap_repair import is_cut
+from dlsc_qbs_ros.io.recordings.recording import Recording
 from mcap.reader import make_reader
 from recorder_traffic import announce, drone, number_of, play
 

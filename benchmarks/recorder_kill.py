@@ -20,9 +20,9 @@ import sys
 import time
 
 from dlsc_qbs_ros.config import RecorderConfig
-from dlsc_qbs_ros.io.bag import read_bag
-from dlsc_qbs_ros.io.recording import Recording
-from dlsc_qbs_ros.io.recovery import recover
+from dlsc_qbs_ros.io.recordings.bag import read_bag
+from dlsc_qbs_ros.io.recordings.recording import Recording
+from dlsc_qbs_ros.io.recordings.recovery import recover
 import numpy as np
 from recorder_traffic import announce, drone, number_of, play
 

@@ -10,7 +10,7 @@ import sys
 import time
 
 from dlsc_qbs_ros.config import RecorderConfig
-from dlsc_qbs_ros.io.recording import Recording
+from dlsc_qbs_ros.io.recordings.recording import Recording
 from recorder_traffic import announce, drone, image, play, Stream
 
 

@@ -7,7 +7,7 @@ import time
 from typing import Iterator, NamedTuple
 import zlib
 
-from dlsc_qbs_ros.io.recording import Recording
+from dlsc_qbs_ros.io.recordings.recording import Recording
 from dlsc_qbs_ros.ros.serialization import serialize
 from nav_msgs.msg import Odometry
 import numpy as np

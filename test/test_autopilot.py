@@ -10,10 +10,10 @@ from dlsc_qbs_ros.cli.simulate import main as simulate
 from dlsc_qbs_ros.config import MavlinkConfig
 from dlsc_qbs_ros.core.types import OdometrySample, Pose2, RawOdometry
 from dlsc_qbs_ros.errors import ConfigError
-from dlsc_qbs_ros.io.autopilot import Autopilot
-from dlsc_qbs_ros.io.autopilot_messages import ENCODERS
-from dlsc_qbs_ros.io.mavlink import MavlinkLink
-from dlsc_qbs_ros.io.mavlink_framing import dialect
+from dlsc_qbs_ros.io.mavlink.autopilot import Autopilot
+from dlsc_qbs_ros.io.mavlink.autopilot_messages import ENCODERS
+from dlsc_qbs_ros.io.mavlink.framing import dialect
+from dlsc_qbs_ros.io.mavlink.link import MavlinkLink
 from dlsc_qbs_ros.sim.simulation import simulate_flight
 from mavlink_peer import free_port, wait_until
 import pytest

@@ -3,7 +3,7 @@
 from math import isnan
 import random
 
-from dlsc_qbs_ros.io.mavlink_clock import AutopilotClock, N_ANSWERS
+from dlsc_qbs_ros.io.mavlink.clock import AutopilotClock, N_ANSWERS
 import pytest
 
 MS, S = 1_000_000, 1_000_000_000

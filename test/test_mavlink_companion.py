@@ -1,8 +1,8 @@
 """What a companion says to an autopilot, whom it believes, and how it bears reboots."""
 
 from dlsc_qbs_ros.config import MavlinkConfig
-from dlsc_qbs_ros.io.mavlink_companion import Companion
-from dlsc_qbs_ros.io.mavlink_framing import Framer
+from dlsc_qbs_ros.io.mavlink.companion import Companion
+from dlsc_qbs_ros.io.mavlink.framing import Framer
 from mavlink_peer import attitude, dialect, heartbeat, odometry, Peer, position
 import pytest
 

@@ -3,7 +3,7 @@
 from itertools import accumulate
 import random
 
-from dlsc_qbs_ros.io.mavlink_framing import Framer, SequenceCounter
+from dlsc_qbs_ros.io.mavlink.framing import Framer, SequenceCounter
 from mavlink_peer import attitude, dialect, heartbeat, odometry, Peer
 import pytest
 

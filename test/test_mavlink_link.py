@@ -10,9 +10,9 @@ import time
 
 from dlsc_qbs_ros.config import MavlinkConfig
 from dlsc_qbs_ros.errors import ConfigError
-from dlsc_qbs_ros.io import mavlink
-from dlsc_qbs_ros.io.mavlink import MavlinkLink
-from dlsc_qbs_ros.io.mavlink_connection import connector
+from dlsc_qbs_ros.io.mavlink import link as mavlink
+from dlsc_qbs_ros.io.mavlink.connection import connector
+from dlsc_qbs_ros.io.mavlink.link import MavlinkLink
 from mavlink_peer import dialect, free_port, heartbeat, odometry, Peer, wait_until
 import pytest
 

@@ -4,8 +4,8 @@ from itertools import product
 from math import cos, inf, isnan, nan, pi, sin, sqrt
 
 from dlsc_qbs_ros.core.geometry import euler_to_quaternion, wrap_angle
-from dlsc_qbs_ros.io.mavlink_clock import AutopilotClock
-from dlsc_qbs_ros.io.mavlink_odometry import OdometryAssembler
+from dlsc_qbs_ros.io.mavlink.clock import AutopilotClock
+from dlsc_qbs_ros.io.mavlink.odometry import OdometryAssembler
 from mavlink_peer import attitude, dialect, odometry, position, UNKNOWN
 import numpy as np
 import pytest

@@ -5,8 +5,8 @@ import json
 import os
 
 from dlsc_qbs_ros.errors import ConfigError
-from dlsc_qbs_ros.io.mavlink_framing import Framer
-from dlsc_qbs_ros.io.mavlink_signing import load_key, Signing
+from dlsc_qbs_ros.io.mavlink.framing import Framer
+from dlsc_qbs_ros.io.mavlink.signing import load_key, Signing
 from mavlink_peer import dialect, heartbeat, odometry, Peer
 import pytest
 

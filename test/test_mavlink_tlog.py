@@ -4,7 +4,7 @@ from pathlib import Path
 
 from dlsc_qbs_ros.config import MavlinkConfig, OdometryConfig
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io.mavlink_tlog import TlogOdometry, TlogPlayer
+from dlsc_qbs_ros.io.mavlink.tlog import TlogOdometry, TlogPlayer
 from dlsc_qbs_ros.pipeline.odometry import OdometryNormaliser
 from mavlink_peer import attitude, heartbeat, odometry, Peer, position, wait_until
 import pytest

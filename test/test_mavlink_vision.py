@@ -4,8 +4,8 @@ from math import inf, pi
 
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.types import IDENTITY, OdometrySample, Pose2, PoseEstimate
-from dlsc_qbs_ros.io.mavlink_framing import dialect
-from dlsc_qbs_ros.io.mavlink_vision import vision_message, VisionOutput
+from dlsc_qbs_ros.io.mavlink.framing import dialect
+from dlsc_qbs_ros.io.mavlink.vision import vision_message, VisionOutput
 import numpy as np
 import pytest
 

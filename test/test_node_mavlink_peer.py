@@ -14,8 +14,8 @@ import time
 
 from dlsc_qbs_ros.config import MavlinkConfig
 from dlsc_qbs_ros.core.types import IDENTITY, OdometrySample, Pose2, PoseEstimate
-from dlsc_qbs_ros.io.mavlink import MavlinkLink
-from dlsc_qbs_ros.io.mavlink_vision import vision_message
+from dlsc_qbs_ros.io.mavlink.link import MavlinkLink
+from dlsc_qbs_ros.io.mavlink.vision import vision_message
 from mavlink_peer import free_port, wait_until
 import pytest
 

@@ -2,7 +2,7 @@
 
 import os
 
-from dlsc_qbs_ros.io.ledger import RecordingStatus, TopicCounts
+from dlsc_qbs_ros.io.recordings.ledger import RecordingStatus, TopicCounts
 from dlsc_qbs_ros.nodes.recorder_losses import Losses
 from dlsc_qbs_ros.nodes.recorder_text import show, status_line, summary
 import pytest

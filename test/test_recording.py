@@ -10,14 +10,14 @@ from unittest.mock import Mock
 
 from dlsc_qbs_ros.config import RecorderConfig
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io import bag_writer, recording as recording_module
-from dlsc_qbs_ros.io.bag import bag_topics, latched_topics, read_bag
-from dlsc_qbs_ros.io.bag_file import BALLAST_BYTES
-from dlsc_qbs_ros.io.bag_writer import BagWriter
-from dlsc_qbs_ros.io.inbox import QueuedMessage
-from dlsc_qbs_ros.io.mcap_repair import is_cut
-from dlsc_qbs_ros.io.recording import LOSSES, Recording
-from dlsc_qbs_ros.io.snapshot_buffer import SnapshotBuffer
+from dlsc_qbs_ros.io.recordings import bag_writer, recording as recording_module
+from dlsc_qbs_ros.io.recordings.bag import bag_topics, latched_topics, read_bag
+from dlsc_qbs_ros.io.recordings.bag_file import BALLAST_BYTES
+from dlsc_qbs_ros.io.recordings.bag_writer import BagWriter
+from dlsc_qbs_ros.io.recordings.inbox import QueuedMessage
+from dlsc_qbs_ros.io.recordings.mcap_repair import is_cut
+from dlsc_qbs_ros.io.recordings.recording import LOSSES, Recording
+from dlsc_qbs_ros.io.recordings.snapshot_buffer import SnapshotBuffer
 from mcap.reader import make_reader
 import pytest
 from recordings import install_definitions, note, SmallDisk, TYPE

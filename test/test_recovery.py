@@ -9,13 +9,13 @@ import sys
 from dlsc_qbs_ros.cli import recover as command
 from dlsc_qbs_ros.config import RecorderConfig
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io import mcap_repair
-from dlsc_qbs_ros.io.bag import bag_topics, latched_topics, read_bag
-from dlsc_qbs_ros.io.bag_writer import BagWriter
-from dlsc_qbs_ros.io.ballast import BALLAST_FILE
-from dlsc_qbs_ros.io.mcap_repair import is_cut, RECOVERED, Repair
-from dlsc_qbs_ros.io.mcap_writer import McapWriter
-from dlsc_qbs_ros.io.recovery import recover, repair_earlier
+from dlsc_qbs_ros.io.recordings import mcap_repair
+from dlsc_qbs_ros.io.recordings.bag import bag_topics, latched_topics, read_bag
+from dlsc_qbs_ros.io.recordings.bag_writer import BagWriter
+from dlsc_qbs_ros.io.recordings.ballast import BALLAST_FILE
+from dlsc_qbs_ros.io.recordings.mcap_repair import is_cut, RECOVERED, Repair
+from dlsc_qbs_ros.io.recordings.mcap_writer import McapWriter
+from dlsc_qbs_ros.io.recordings.recovery import recover, repair_earlier
 from mcap.reader import make_reader
 from mcap.writer import Writer
 import pytest
@@ -377,7 +377,7 @@ def test_what_is_no_mcap_file_is_refused(tmp_path, content):
 
 KILLED = '''
 import itertools, sys, time
-from dlsc_qbs_ros.io.recording import Recording
+from dlsc_qbs_ros.io.recordings.recording import Recording
 from recordings import note, TYPE
 recording = Recording(sys.argv[1])
 recording.add_topic('/a', TYPE)

@@ -366,7 +366,7 @@ class TestRefusals:
 
     def test_a_flight_without_images_or_without_the_topic_asked_for(self, tmp_path, capsys):
         pytest.importorskip('rclpy', reason='recordings are decoded by ROS')
-        from dlsc_qbs_ros.io.bag_writer import BagWriter
+        from dlsc_qbs_ros.io.recordings.bag_writer import BagWriter
         with BagWriter(tmp_path / 'flight') as writer:
             writer.add_topic('/odom', 'nav_msgs/msg/Odometry')
         out = ('--out', tmp_path / 'out')

@@ -358,7 +358,7 @@ def simulate():
 
 def test_the_recording_reads_back_as_it_was_flown(simulate, tmp_path, capsys):
     pytest.importorskip('rclpy')
-    from dlsc_qbs_ros.io.bag import bag_topics
+    from dlsc_qbs_ros.io.recordings.bag import bag_topics
     from dlsc_qbs_ros.io.flight import read_flight
     out = tmp_path / 'flight'
     assert simulate(['--flight', '2', '--seed', '3', '--seconds', '2', '--out', str(out)]) == 0

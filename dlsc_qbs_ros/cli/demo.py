@@ -25,7 +25,7 @@ from ..errors import DlscQbsError
 from ..evaluation.alignment import align
 from ..evaluation.association import associate
 from ..evaluation.metrics import mae_l
-from ..io.bag import read_bag
+from ..io.recordings.bag import read_bag
 
 INSTALLED = Path('install', 'dlsc_qbs_ros')
 PROFILE = INSTALLED / 'share' / 'dlsc_qbs_ros' / 'config' / 'replay.yaml'

@@ -8,7 +8,7 @@ from typing import Sequence
 
 from .common import run_tool
 from ..errors import RecordingError
-from ..io.recovery import recover
+from ..io.recordings.recovery import recover
 
 
 def main(argv: Sequence[str] | None = None) -> int:

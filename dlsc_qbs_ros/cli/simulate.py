@@ -17,7 +17,7 @@ from tqdm import tqdm
 from .common import run_tool
 from ..core.types import GroundTruthSample, RawOdometry
 from ..errors import ConfigError, RecordingError
-from ..io.bag_writer import BagWriter
+from ..io.recordings.bag_writer import BagWriter
 from ..sim.encodings import ENCODINGS
 from ..sim.simulation import Picture, simulate_flight, SimulatedFlight
 from ..sim.variations import EACH, PLAIN, Variations
@@ -110,8 +110,8 @@ def _record(flight: SimulatedFlight, encoding: str, out: Path) -> None:
 
 
 def _fly(flight: SimulatedFlight, address: str, messages: str, start_s: float | None) -> None:
-    from ..io.autopilot import Autopilot  # only here: recordings need no pymavlink
-    from ..io.autopilot_messages import ENCODERS
+    from ..io.mavlink.autopilot import Autopilot  # only here: recordings need no pymavlink
+    from ..io.mavlink.autopilot_messages import ENCODERS
     with Autopilot(address, ENCODERS[messages]) as autopilot:
         autopilot.fly(flight.odometry, None if start_s is None else int(start_s * 1e9))
         for direction, counts in (('sent', autopilot.sent), ('received', autopilot.received)):

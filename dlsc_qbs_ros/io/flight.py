@@ -9,8 +9,8 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Callable, Iterator, Mapping
 
-from .bag import bag_topics, read_bag
-from .mcap_file import BagMessage
+from .recordings.bag import bag_topics, read_bag
+from .recordings.mcap_file import BagMessage
 from ..config import MavlinkConfig
 from ..core.types import Frame, GroundTruthSample, RawOdometry
 from ..errors import DlscQbsError, RecordingError
@@ -77,7 +77,7 @@ def _recorded(path: Path, converters: Mapping[str, Callable], refused: Counter
 
 def _logged(tlog: Path, mavlink: MavlinkConfig, refused: Counter
             ) -> Iterator[tuple[int, RawOdometry]]:
-    from .mavlink_tlog import TlogOdometry  # only here: flights without one need no pymavlink
+    from .mavlink.tlog import TlogOdometry  # only here: flights without one need no pymavlink
     odometry, raw = TlogOdometry(tlog, mavlink), None
     for raw in odometry:
         yield raw.sample.stamp_ns, raw

@@ -10,8 +10,8 @@ from rclpy.node import Node
 
 from ..config import Config, OdometryConfig
 from ..core.types import OdometrySample, RawOdometry
-from ..io.mavlink import MavlinkLink
-from ..io.mavlink_tlog import TlogPlayer
+from ..io.mavlink.link import MavlinkLink
+from ..io.mavlink.tlog import TlogPlayer
 from ..pipeline.odometry import OdometryNormaliser
 
 # Ten seconds at 200 Hz: more is only held while the executor stands still for longer.

@@ -12,7 +12,7 @@ from ..errors import ConfigError
 from ..pipeline.odometry import OdometrySource
 
 if TYPE_CHECKING:
-    from ..io.mavlink_vision import VisionOutput
+    from ..io.mavlink.vision import VisionOutput
 
 
 def create_odometry_source(node: Node, config: Config) -> OdometrySource:
@@ -36,5 +36,5 @@ def create_vision_output(source: OdometrySource, config: Config) -> VisionOutput
     if config.odometry.source != 'mavlink':
         raise ConfigError(f'mavlink.vision_output = True: odometry.source = '
                           f'{config.odometry.source!r} has no link; expected mavlink')
-    from ..io.mavlink_vision import VisionOutput
+    from ..io.mavlink.vision import VisionOutput
     return VisionOutput(config, source.send)

@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from .flight_clock import CLOCK
 from ..errors import RecordingError
-from ..io.bag import bag_topics, BagMessage, latched_topics, read_bag
+from ..io.recordings.bag import bag_topics, BagMessage, latched_topics, read_bag
 from ..ros.conversions import odometry_to_msg
 from ..ros.qos import create_publisher
 from ..ros.serialization import (
@@ -62,7 +62,7 @@ class Recording:
 
 
 def _odometry(tlog: Path) -> Iterator[BagMessage]:
-    from ..io.mavlink_tlog import TlogOdometry  # only here: flights alone need no pymavlink
+    from ..io.mavlink.tlog import TlogOdometry  # only here: flights alone need no pymavlink
     for raw in TlogOdometry(tlog):
         msg = odometry_to_msg(
             raw.sample, raw.forward_m_s, raw.yaw_rate_rad_s, 'odom', 'base_link')

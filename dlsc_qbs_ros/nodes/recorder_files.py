@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from ..config import Config
 from ..errors import RecordingError
-from ..io.mcap_repair import Repair
-from ..io.recovery import repair_earlier
+from ..io.recordings.mcap_repair import Repair
+from ..io.recordings.recovery import repair_earlier
 from ..profiles import to_yaml
 
 _log = logging.getLogger(__name__)

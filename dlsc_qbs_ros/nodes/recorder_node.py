@@ -23,7 +23,7 @@ from .recorder_text import show
 from .recorder_topics import RecorderTopics
 from .services import finished, offer
 from ..config import Config
-from ..io.recording import Recording
+from ..io.recordings.recording import Recording
 from ..ros.diagnostics import PERIOD_S
 from ..ros.loss_conversions import losses_to_msg
 from ..ros.managed_node import ManagedNode

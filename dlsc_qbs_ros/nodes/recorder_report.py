@@ -8,7 +8,7 @@ from typing import Sequence
 from .recorder_files import Repairs
 from .recorder_text import counted, status_line, summary
 from .recorder_topics import RecorderTopics
-from ..io.recording import Recording
+from ..io.recordings.recording import Recording
 from ..ros.diagnostics import ERROR, OK, WARN
 
 

@@ -8,7 +8,7 @@ import sys
 from typing import Mapping
 
 from .recorder_losses import Losses
-from ..io.ledger import RecordingStatus, TopicCounts
+from ..io.recordings.ledger import RecordingStatus, TopicCounts
 
 CLEAR_LINE = '\x1b[K'
 

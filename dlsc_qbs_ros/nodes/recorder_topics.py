@@ -10,8 +10,8 @@ from .recorded_topic import RecordedTopic
 from .recorder_losses import Losses
 from .recorder_selection import TopicSelection
 from ..errors import RecordingError
-from ..io.ledger import RecordingStatus, TopicCounts
-from ..io.recording import Recording
+from ..io.recordings.ledger import RecordingStatus, TopicCounts
+from ..io.recordings.recording import Recording
 from ..ros.qos import qos_to_words
 from ..ros.qos_overrides import Overrides
 from ..ros.stamps import received_ns

@@ -15,7 +15,7 @@ from .flight_clock import FlightClock
 from .flow_control import FlowControl
 from .recorded_messages import advertise, Recording
 from ..errors import RecordingError
-from ..io.bag import BagMessage
+from ..io.recordings.bag import BagMessage
 from ..ros.logging import forward_logging
 from ..ros.runtime import StopRequest
 from ..ros.serialization import header_stamp_ns

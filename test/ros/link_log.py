@@ -1,7 +1,7 @@
 """A recording of a MAVLink link, as a ground station writes it."""
 
-from dlsc_qbs_ros.io.autopilot_messages import odometry
-from dlsc_qbs_ros.io.mavlink_framing import dialect
+from dlsc_qbs_ros.io.mavlink.autopilot_messages import odometry
+from dlsc_qbs_ros.io.mavlink.framing import dialect
 
 
 def write_tlog(path, samples, boot_ns):

@@ -7,9 +7,9 @@ import subprocess
 import sys
 
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io.bag import bag_topics, BagMessage, latched_topics, read_bag
-from dlsc_qbs_ros.io.bag_writer import BagWriter
-from dlsc_qbs_ros.io.message_definitions import message_definition, schema, type_hash
+from dlsc_qbs_ros.io.recordings.bag import bag_topics, BagMessage, latched_topics, read_bag
+from dlsc_qbs_ros.io.recordings.bag_writer import BagWriter
+from dlsc_qbs_ros.io.recordings.message_definitions import message_definition, schema, type_hash
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.qos import qos_to_words
 from dlsc_qbs_ros.ros.serialization import serialize
@@ -364,7 +364,7 @@ def test_a_bit_that_flipped_does_not_pass(bag, missing):
 FULL_DISK = '''
 import resource, sys
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io.bag_writer import BagWriter
+from dlsc_qbs_ros.io.recordings.bag_writer import BagWriter
 resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
 writer = BagWriter(sys.argv[1])
 writer.add_topic('/camera', 'sensor_msgs/msg/Image')

@@ -7,8 +7,8 @@ from math import nan
 from dlsc_qbs_ros.config import MavlinkConfig
 from dlsc_qbs_ros.core.types import Frame, GroundTruthSample, OdometrySample, Pose2, RawOdometry
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io.bag_writer import BagWriter
 from dlsc_qbs_ros.io.flight import read_flight
+from dlsc_qbs_ros.io.recordings.bag_writer import BagWriter
 from dlsc_qbs_ros.ros.conversions import odometry_to_msg, pose_stamped_to_msg
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.serialization import serialize, type_name

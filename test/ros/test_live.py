@@ -10,8 +10,8 @@ from dlsc_qbs_ros.cli.simulate import main as simulate
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.types import (
     Code, Dictionary, GroundTruthSample, OdometrySample, View)
-from dlsc_qbs_ros.io.bag import read_bag
 from dlsc_qbs_ros.io.flight import read_flight
+from dlsc_qbs_ros.io.recordings.bag import read_bag
 from dlsc_qbs_ros.pipeline.ratslam import RatSlam
 from dlsc_qbs_ros.pipeline.runner import encode, map_codes
 from dlsc_qbs_ros.ros.serialization import deserialize

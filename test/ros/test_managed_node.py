@@ -8,7 +8,7 @@ import threading
 
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.errors import ConfigError, RecordingError
-from dlsc_qbs_ros.io.recording import Recording
+from dlsc_qbs_ros.io.recordings.recording import Recording
 from dlsc_qbs_ros.nodes.encoder_node import EncoderNode
 from dlsc_qbs_ros.nodes.ratslam_node import RatSlamNode
 from dlsc_qbs_ros.nodes.recorder_node import RecorderNode

@@ -8,8 +8,8 @@ import time
 from dlsc_qbs_ros.cli.simulate import main as simulate
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.errors import ConfigError
-from dlsc_qbs_ros.io.autopilot import Autopilot
-from dlsc_qbs_ros.io.autopilot_messages import ENCODERS
+from dlsc_qbs_ros.io.mavlink.autopilot import Autopilot
+from dlsc_qbs_ros.io.mavlink.autopilot_messages import ENCODERS
 from dlsc_qbs_ros.nodes.odometry_source import create_vision_output
 from dlsc_qbs_ros.ros.stamps import stamp_to_ns
 from dlsc_qbs_ros.sim.simulation import simulate_flight

@@ -10,8 +10,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.types import OdometrySample, Pose2, RawOdometry
 from dlsc_qbs_ros.errors import ConfigError
-from dlsc_qbs_ros.io.autopilot import Autopilot
-from dlsc_qbs_ros.io.autopilot_messages import ENCODERS
+from dlsc_qbs_ros.io.mavlink.autopilot import Autopilot
+from dlsc_qbs_ros.io.mavlink.autopilot_messages import ENCODERS
 from dlsc_qbs_ros.nodes.odometry_link import MAX_WAITING, OdometryLink
 from dlsc_qbs_ros.nodes.odometry_source import create_odometry_source
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -145,7 +145,7 @@ def test_an_executor_that_stands_still_loses_what_exceeds_the_queue_and_counts_i
 
 def test_without_pymavlink_a_link_is_refused_in_words(monkeypatch):
     for module in [name for name in sys.modules if name.startswith((
-            'dlsc_qbs_ros.nodes.odometry_link', 'dlsc_qbs_ros.io.mavlink', 'pymavlink'))]:
+            'dlsc_qbs_ros.nodes.odometry_link', 'dlsc_qbs_ros.io.mavlink.link', 'pymavlink'))]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, 'pymavlink', None)
     with pytest.raises(ConfigError, match='needs pymavlink, which is not installed'):

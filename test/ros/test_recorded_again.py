@@ -3,8 +3,8 @@
 from dlsc_qbs_ros.cli.simulate import main as simulate
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.types import GroundTruthSample
-from dlsc_qbs_ros.io.bag import read_bag
 from dlsc_qbs_ros.io.flight import read_flight
+from dlsc_qbs_ros.io.recordings.bag import read_bag
 from dlsc_qbs_ros.pipeline.runner import run
 import numpy as np
 

@@ -4,7 +4,7 @@ import resource
 import signal
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from dlsc_qbs_ros.io.bag import bag_topics, latched_topics, read_bag
+from dlsc_qbs_ros.io.recordings.bag import bag_topics, latched_topics, read_bag
 from dlsc_qbs_ros.nodes.recorder_node import RecorderNode
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.serialization import deserialize

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io.bag import bag_topics, read_bag
-from dlsc_qbs_ros.io.bag_writer import BagWriter
+from dlsc_qbs_ros.io.recordings.bag import bag_topics, read_bag
+from dlsc_qbs_ros.io.recordings.bag_writer import BagWriter
 from dlsc_qbs_ros.nodes.polled_subscription import PolledSubscription
 from dlsc_qbs_ros.nodes.recorder_node import RecorderNode
 from dlsc_qbs_ros.profiles import load_profile

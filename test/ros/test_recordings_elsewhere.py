@@ -9,9 +9,9 @@ import subprocess
 
 from dlsc_qbs_ros.config import RecorderConfig
 from dlsc_qbs_ros.errors import RecordingError
-from dlsc_qbs_ros.io import recording as recording_module
-from dlsc_qbs_ros.io.recording import Recording
-from dlsc_qbs_ros.io.recovery import recover
+from dlsc_qbs_ros.io.recordings import recording as recording_module
+from dlsc_qbs_ros.io.recordings.recording import Recording
+from dlsc_qbs_ros.io.recordings.recovery import recover
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.qos import qos_to_words
 from dlsc_qbs_ros.ros.serialization import serialize

@@ -4,8 +4,8 @@ import signal
 import time
 
 from dlsc_qbs_ros.core.types import Code, OdometrySample, Pose2, RawOdometry
-from dlsc_qbs_ros.io.bag_writer import BagWriter
-from dlsc_qbs_ros.io.message_definitions import message_definition
+from dlsc_qbs_ros.io.recordings.bag_writer import BagWriter
+from dlsc_qbs_ros.io.recordings.message_definitions import message_definition
 from dlsc_qbs_ros.ros.conversions import code_to_msg, odometry_to_msg
 from dlsc_qbs_ros.ros.image_conversions import image_to_msg
 from dlsc_qbs_ros.ros.serialization import serialize, type_name

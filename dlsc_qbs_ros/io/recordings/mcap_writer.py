@@ -19,8 +19,8 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
-from .disk import write_all
 from .mcap_records import bytes_of, chunk_head, HEAD_BYTES, message_counts, message_head
+from ..disk import write_all
 
 LIBRARY = 'dlsc_qbs_ros'
 _COMPRESS = {'': bytes, 'lz4': lz4.compress, 'zstd': zstandard.compress}  # by MCAP's words

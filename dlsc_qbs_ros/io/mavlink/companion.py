@@ -8,14 +8,14 @@ from pathlib import Path
 import time
 from typing import Callable, Iterable, Iterator
 
-from .mavlink_clock import JUMP_NS, REBOOT, TIME_JUMP
-from .mavlink_framing import dialect
-from .mavlink_receiver import Receiver
-from .mavlink_requests import PERIOD_S as REQUEST_PERIOD_S
-from .mavlink_requests import RateRequests
-from .mavlink_signing import PERSIST_PERIOD_S, Signing
-from ..config import MavlinkConfig
-from ..core.types import RawOdometry
+from .clock import JUMP_NS, REBOOT, TIME_JUMP
+from .framing import dialect
+from .receiver import Receiver
+from .requests import PERIOD_S as REQUEST_PERIOD_S
+from .requests import RateRequests
+from .signing import PERSIST_PERIOD_S, Signing
+from ...config import MavlinkConfig
+from ...core.types import RawOdometry
 
 COMPONENT = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
 HEARTBEAT_PERIOD_S = 1.0

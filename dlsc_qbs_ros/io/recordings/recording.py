@@ -9,14 +9,14 @@ import threading
 from typing import Any, Callable, Mapping, Sequence
 
 from .bag_writer import BagWriter
-from .disk import free_bytes
 from .inbox import Inbox, QueuedMessage, Task
 from .keeper import Keeper
 from .ledger import Ledger, RecordingStatus, TopicCounts
 from .message_definitions import schema
 from .snapshot_buffer import SnapshotBuffer
-from ..config import RecorderConfig
-from ..errors import RecordingError
+from ..disk import free_bytes
+from ...config import RecorderConfig
+from ...errors import RecordingError
 
 LOSSES = 'dlsc_qbs_ros/losses'
 

@@ -8,11 +8,11 @@ from threading import Event, Lock, Thread
 import time
 from typing import Callable, Iterator
 
-from .mavlink_framing import may_go_on, next_start, Packet, PacketReader
-from .mavlink_receiver import Receiver
-from ..config import MavlinkConfig
-from ..core.types import RawOdometry
-from ..errors import RecordingError
+from .framing import may_go_on, next_start, Packet, PacketReader
+from .receiver import Receiver
+from ...config import MavlinkConfig
+from ...core.types import RawOdometry
+from ...errors import RecordingError
 
 # A record is the UNIX time in microseconds, big-endian, and the packet.
 _TIME_LENGTH = 8

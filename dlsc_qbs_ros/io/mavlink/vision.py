@@ -6,11 +6,11 @@ from collections import Counter, deque
 from math import hypot, isfinite, nan
 from typing import Callable
 
-from .mavlink_framing import dialect
-from ..config import Config
-from ..core.geometry import (
+from .framing import dialect
+from ...config import Config
+from ...core.geometry import (
     between, compose, euler_to_quaternion, swap_frd_flu, swap_frd_flu_attitude)
-from ..core.types import PoseEstimate
+from ...core.types import PoseEstimate
 
 # Where the variances of x, y, z, roll, pitch and yaw stand in the upper triangle, row by row.
 DIAGONAL = (0, 6, 11, 15, 18, 20)

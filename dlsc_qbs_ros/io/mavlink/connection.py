@@ -7,7 +7,7 @@ import re
 import socket
 from typing import Callable, Protocol
 
-from ..errors import ConfigError
+from ...errors import ConfigError
 
 WRITE_TIMEOUT_S = 0.2
 CONNECT_TIMEOUT_S = 0.5

@@ -5,11 +5,11 @@ from __future__ import annotations
 from math import cos, hypot, isfinite, nan, pi, sin, sqrt
 from typing import Callable, NamedTuple
 
-from .mavlink_framing import dialect
-from ..core.geometry import (
-    quaternion_to_euler, swap_frd_flu, swap_frd_flu_attitude, swap_ned_enu,
-    swap_ned_enu_attitude, wrap_angle)
-from ..core.types import OdometrySample, Pose2, RawOdometry
+from .framing import dialect
+from ...core.geometry import (
+    quaternion_to_euler, swap_frd_flu, swap_frd_flu_attitude, swap_ned_enu, swap_ned_enu_attitude,
+    wrap_angle)
+from ...core.types import OdometrySample, Pose2, RawOdometry
 
 FAILED_QUALITY = -1
 

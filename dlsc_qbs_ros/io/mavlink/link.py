@@ -10,11 +10,11 @@ from threading import Event, Lock, Thread
 import time
 from typing import Callable
 
-from .mavlink_companion import Companion
-from .mavlink_connection import Connection, connector
-from .mavlink_framing import dialect
-from ..config import MavlinkConfig
-from ..core.types import RawOdometry
+from .companion import Companion
+from .connection import Connection, connector
+from .framing import dialect
+from ...config import MavlinkConfig
+from ...core.types import RawOdometry
 
 # Short enough that odometry is back within a second of the line.
 BACK_OFF_S = (0.05, 0.4)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import cos, nan, sin
 from typing import Callable
 
-from .mavlink_framing import dialect
-from ..core.geometry import euler_to_quaternion, swap_ned_enu, swap_ned_enu_attitude
-from ..core.types import OdometrySample, RawOdometry
+from .framing import dialect
+from ...core.geometry import euler_to_quaternion, swap_ned_enu, swap_ned_enu_attitude
+from ...core.types import OdometrySample, RawOdometry
 
 # From a sample and the nanoseconds since boot that it is of.
 Encoder = Callable[[RawOdometry, int], dialect.MAVLink_message]

@@ -9,7 +9,7 @@ from pathlib import Path
 import re
 import sys
 
-from ..errors import RecordingError
+from ...errors import RecordingError
 
 _SEPARATOR = '=' * 80
 _FIELD_TYPE = re.compile(r'^(?P<type>[A-Za-z][\w/]*)')

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from typing import Callable, Iterator
 
-from .mavlink_clock import AutopilotClock
-from .mavlink_framing import dialect, Framer, Packet, SequenceCounter
-from .mavlink_odometry import OdometryAssembler
-from .mavlink_signing import Signing
-from ..config import MavlinkConfig
-from ..core.types import RawOdometry
+from .clock import AutopilotClock
+from .framing import dialect, Framer, Packet, SequenceCounter
+from .odometry import OdometryAssembler
+from .signing import Signing
+from ...config import MavlinkConfig
+from ...core.types import RawOdometry
 
 # Who is silent for so long, while another beats so often, has been replaced.
 SILENCE_NS = 10_000_000_000

@@ -6,12 +6,12 @@ from collections import Counter, deque
 from math import isfinite, nan
 from typing import Iterator, NamedTuple
 
-from .mavlink_clock import AutopilotClock
-from .mavlink_conversions import (
-    Attitude, attitude_from_message, interpolated_attitude, joined_odometry,
-    odometry_from_message, position_sigma_m, refusal, remote_time_ns)
-from .mavlink_framing import dialect
-from ..core.types import RawOdometry
+from .clock import AutopilotClock
+from .conversions import (
+    Attitude, attitude_from_message, interpolated_attitude, joined_odometry, odometry_from_message,
+    position_sigma_m, refusal, remote_time_ns)
+from .framing import dialect
+from ...core.types import RawOdometry
 
 # ODOMETRY holds more, so positions are left alone while it has come within this time.
 PREFERENCE_NS = 1_000_000_000

@@ -13,11 +13,11 @@ from .bag_file import Attachment, BagFile, BALLAST_BYTES
 from .bag_metadata import (
     bag_information, FileSummary, METADATA_FILE, to_yaml, topic_metadata, write_information)
 from .ballast import Ballast
-from .disk import locked, sync
 from .latched import Latched, LatchedMessage
 from .message_definitions import schema, type_hash
-from ..config import RecorderConfig
-from ..errors import RecordingError
+from ..disk import locked, sync
+from ...config import RecorderConfig
+from ...errors import RecordingError
 
 
 class BagWriter:

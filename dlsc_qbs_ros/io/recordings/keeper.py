@@ -6,7 +6,7 @@ import threading
 import time
 
 from .bag_writer import BagWriter
-from ..errors import RecordingError
+from ...errors import RecordingError
 
 _TIDY_PERIOD_S = 5.0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Iterator
 
-from .mavlink_framing import dialect
+from .framing import dialect
 
 PERIOD_S = 0.5
 # What is asked for, one stage more each time that nothing has come of the one before: ODOMETRY;

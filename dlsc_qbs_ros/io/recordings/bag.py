@@ -8,7 +8,7 @@ from typing import Collection, Iterator
 
 from .bag_metadata import METADATA_FILE, read_information
 from .mcap_file import BagMessage, file_messages, file_topics, RecordedTopic
-from ..errors import RecordingError
+from ...errors import RecordingError
 
 
 def bag_topics(path: Path) -> dict[str, str]:

@@ -8,7 +8,7 @@ import threading
 from typing import Callable, NamedTuple
 
 from .ledger import Ledger
-from ..errors import RecordingError
+from ...errors import RecordingError
 
 URGENT_BYTES = 2**20
 

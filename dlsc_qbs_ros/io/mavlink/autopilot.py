@@ -9,10 +9,10 @@ import time
 from typing import Callable, Iterable, Iterator, Mapping
 
 from .autopilot_messages import Encoder
-from .mavlink_connection import open_connection
-from .mavlink_framing import dialect, Framer
-from ..core.types import RawOdometry
-from ..errors import ConfigError
+from .connection import open_connection
+from .framing import dialect, Framer
+from ...core.types import RawOdometry
+from ...errors import ConfigError
 
 SYSTEM, COMPONENT = 1, dialect.MAV_COMP_ID_AUTOPILOT1
 HEARTBEAT_NS = 1_000_000_000

@@ -14,9 +14,9 @@ from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
-from .disk import free_bytes, sync
 from .mcap_writer import McapWriter
-from ..errors import RecordingError
+from ..disk import free_bytes, sync
+from ...errors import RecordingError
 
 RECOVERED = 'dlsc_qbs_ros/recovered'
 _RECORDS = {Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,

@@ -8,8 +8,8 @@ from typing import Any, Iterable, Mapping, NamedTuple
 
 import yaml
 
-from .disk import replacement
-from ..errors import RecordingError
+from ..disk import replacement
+from ...errors import RecordingError
 
 METADATA_FILE = 'metadata.yaml'
 

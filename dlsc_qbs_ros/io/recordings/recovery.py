@@ -16,10 +16,10 @@ from .bag_metadata import (
     bag_information, FileSummary, METADATA_FILE, read_information, topic_metadata,
     write_information)
 from .ballast import BALLAST_FILE
-from .disk import locked
 from .mcap_repair import header_of, is_cut, Repair, rewrite
 from .mcap_writer import LIBRARY
-from ..errors import RecordingError
+from ..disk import locked
+from ...errors import RecordingError
 
 # What `metadata.yaml` says that the files do not.
 _KEPT = ('compression_format', 'compression_mode', 'custom_data', 'ros_distro')

@@ -10,9 +10,9 @@ from pathlib import Path
 import stat
 import time
 
-from .disk import replacement
-from .mavlink_framing import dialect, Packet
-from ..errors import ConfigError
+from .framing import dialect, Packet
+from ..disk import replacement
+from ...errors import ConfigError
 
 KEY_LENGTH = 32
 PERSIST_PERIOD_S = 5.0

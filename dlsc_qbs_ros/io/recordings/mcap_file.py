@@ -14,7 +14,7 @@ from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from ..errors import RecordingError
+from ...errors import RecordingError
 
 _log = logging.getLogger(__name__)
 _RECORD_LIMIT_BYTES = 2**31

@@ -1,0 +1,1 @@
+"""The link to an autopilot: its lines, its protocol, its recordings."""

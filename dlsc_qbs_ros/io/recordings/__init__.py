@@ -1,0 +1,1 @@
+"""Recordings: MCAP files in rosbag2 folders, written, read and repaired."""
