@@ -14,8 +14,10 @@ ARGUMENTS = (
     ('mavlink', '', 'address of a MAVLink link to take odometry from, in place of the topic'),
     ('map_file', '', 'map to go on in; it is saved each second, and at the end'),
     ('mode', '', 'mapping or localization'),
-    ('respawn', 'true', 'start a node again that ended, as after a crash in flight'),
+    ('respawn', 'true', 'start encoder and ratslam again when they end, as by a crash in flight'),
 )
+# A recorder that ended before the disk was full would begin to fill it again.
+RESPAWNED = ('encoder', 'ratslam')
 RESPAWN_DELAY_S = 0.5
 # Where an argument is given, what parameters it sets.
 PARAMETERS = {
@@ -39,7 +41,8 @@ def start_nodes(context):
         Node(
             package='dlsc_qbs_ros', executable=name, name=name, output='screen',
             namespace=LaunchConfiguration('namespace'),
-            respawn=given('respawn').lower() == 'true', respawn_delay=RESPAWN_DELAY_S,
+            respawn=name in RESPAWNED and given('respawn').lower() == 'true',
+            respawn_delay=RESPAWN_DELAY_S,
             parameters=[*parameters, overrides],
             remappings=[('image', LaunchConfiguration('image_topic')),
                         ('odom', LaunchConfiguration('odom_topic'))])
