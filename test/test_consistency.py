@@ -1,11 +1,11 @@
-"""Which closures contradict the rest: against hand-computed cases and literal least squares."""
+"""What closures say of the path: against hand-computed cases and literal least squares."""
 
 from math import pi
 
 import numpy as np
 import pytest
 
-from dlsc_qbs_ros.core.consistency import Chain, contradiction, surprises
+from dlsc_qbs_ros.core.consistency import Chain, contradiction, deviations, surprises
 from dlsc_qbs_ros.core.geometry import between, between_rows, compose, compose_rows, wrap_angle
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
@@ -200,3 +200,60 @@ def test_the_wrong_run_is_named_and_not_those_it_bends(seed, wrong):
 def test_a_wrong_run_of_many_closures_is_named_by_two_true_runs(seed):
     wrong = [[3, 43], [4, 44], [5, 45]]
     assert verdict([*TRUE, *wrong], [0, 0, 1, 1, 2, 3, 3, 3], seed=seed) == 3
+
+
+# How well places are known
+
+NO_CLOSURES = np.zeros((0, 2), int)
+EXACT = np.full(3, 1e-12)
+
+
+def test_without_closures_a_line_is_a_random_walk_less_the_best_rigid_motion():
+    """Along the line that is its mean; across, a slope too, as the heading errs by nothing."""
+    nodes = np.arange(6)
+    walk = 0.01 * np.minimum.outer(nodes, nodes)
+    mean, slope = np.ones((6, 1)), np.column_stack([np.ones(6), nodes])
+    left = [np.eye(6) - fit @ np.linalg.pinv(fit) for fit in (mean, slope)]
+    along, across = (np.diag(rest @ walk @ rest) for rest in left)
+    turn = np.linalg.pinv(slope)[1]
+    known = deviations(line(5), NO_CLOSURES, MATCH, NO_CALIBRATION, nodes)
+    assert known[:, 0] == pytest.approx(np.sqrt(0.5 * (along + across)))
+    assert known[:, 1] == pytest.approx(np.sqrt(turn @ walk @ turn))
+
+
+def test_a_closed_ring_is_known_equally_well_everywhere():
+    """Four steps of variance v, out and back: (4^2 - 1) / (12 * 4) v along the line, each."""
+    motions = np.array([(1.0, 0.0, 0.0)] * 2 + [(-1.0, 0.0, 0.0)] * 2)
+    chain = Chain(path(motions), motions, np.ones(4), np.tile([0.01, 1e-12, 1e-12], (4, 1)))
+    known = deviations(chain, np.array([[0, 4]]), EXACT, NO_CALIBRATION, np.arange(4))
+    assert known[:, 0] == pytest.approx(np.sqrt(0.5 * 15.0 / 48.0 * 0.01), rel=1e-4)
+
+
+def test_no_closure_tells_of_the_scale():
+    """A corner 1 m out to both sides errs by a share of that; the middle of a side by half."""
+    motions = np.array([(1.0, 0.0, 0.0), (1.0, 0.0, pi / 2)] * 4)
+    chain = Chain(path(motions), motions, np.ones(8), np.full((8, 3), 1e-12))
+    known = deviations(
+        chain, np.array([[0, 8]]), MATCH, np.array([0.0, 0.03 ** 2]), np.arange(8))
+    assert known[:, 0] == pytest.approx([0.03, 0.03 * 0.5 ** 0.5] * 4, rel=1e-4)
+    assert known[:, 1] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_each_more_closure_makes_places_better_known_wherever_the_map_lies():
+    chain, true = laps(2, seed=3)
+    chain = chain._replace(poses=true)
+    nodes, calibration = np.arange(0, 73, 6), np.array([1e-4, 1e-3])
+    n_closures = (0, 1, 3, 5)
+    known = [deviations(chain, np.array(TRUE[:n] or NO_CLOSURES), MATCH, calibration, nodes)
+             for n in n_closures]
+    assert (np.diff([np.square(each).sum(axis=0) for each in known], axis=0) < 0.0).all()
+    moved = chain._replace(poses=compose_rows(np.array([(3.0, -2.0, 2.5)]), true))
+    again = deviations(moved, np.array(TRUE), MATCH, calibration, nodes)
+    np.testing.assert_allclose(again, known[-1], rtol=1e-6)
+
+
+def test_however_long_there_was_no_closure_something_finite_is_said():
+    motions = np.tile([1.0, 0.0, 0.0], (4, 1))
+    chain = Chain(path(motions), motions, np.full(4, 1e12), np.full((4, 3), 1e9))
+    ends = np.array([[0, 3], [0, 4], [1, 4]])
+    assert np.isfinite(deviations(chain, ends, MATCH, np.array([1.0, 1.0]), np.arange(5))).all()

@@ -1,4 +1,4 @@
-"""Which loop closures contradict odometry and one another: least squares over the closures."""
+"""Loop closures against odometry and one another: which contradict, what the others tell."""
 
 from __future__ import annotations
 
@@ -84,9 +84,7 @@ def surprises(chain: Chain, ends: np.ndarray, variances: np.ndarray,
     ndarray of shape (n_runs,)
 
     """
-    by_calibration = _by_calibration(chain)
-    prior = np.concatenate([chain.variances.ravel(), np.tile(
-        calibration_variances, by_calibration.shape[1] // 2)])
+    by_calibration, prior = _unknowns(chain, calibration_variances)
     poses = chain.poses
     for _ in range(N_ITERATIONS):
         by_motion = _jacobian(poses, ends)
@@ -106,8 +104,64 @@ def surprises(chain: Chain, ends: np.ndarray, variances: np.ndarray,
                      for mine in (row_runs == run for run in range(runs.max() + 1))])
 
 
+def deviations(chain: Chain, ends: np.ndarray, variances: np.ndarray,
+               calibration_variances: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """
+    Return how well it is known where nodes are among all of these, if the closures are right.
+
+    Of the variances V of the unknowns x, see `surprises`, the closures leave the covariance
+    V - V H^T K^-1 H V. They move the nodes by D x, less what moves all of them as one, which is
+    the rigid motion that fits their positions best: a map as a whole may lie anywhere.
+
+    Parameters
+    ----------
+    chain : Chain
+        Its poses should agree with the closures.
+    ends, variances, calibration_variances
+        As in `surprises`.
+    nodes : ndarray of shape (m,), int64
+        The nodes that are asked for.
+
+    Returns
+    -------
+    ndarray of shape (m, 2)
+        The deviations of the position along either axis, and of the heading.
+
+    """
+    by_calibration, prior = _unknowns(chain, calibration_variances)
+    by_closure, by_node = (
+        np.hstack([by_motion, by_motion @ by_calibration]) for by_motion in (
+            _jacobian(chain.poses, pairs)
+            for pairs in (ends, np.column_stack([np.zeros_like(nodes), nodes]))))
+    by_node = _less_rigid(by_node, between_rows(chain.poses[[0]], chain.poses[nodes]))
+    covariance = (by_closure * prior) @ by_closure.T + np.diag(np.tile(variances, len(ends)))
+    known = (by_node * prior) @ by_closure.T
+    # Of hours without a closure, rounding may leave no inverse.
+    information = np.linalg.pinv(covariance, hermitian=True)
+    left = (by_node ** 2) @ prior - np.sum(known @ information * known, axis=1)
+    x, y, yaw = np.maximum(left, 0.0).reshape(-1, 3).T
+    return np.sqrt(np.column_stack([0.5 * (x + y), yaw]))
+
+
+def _less_rigid(by_node: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return what moves nodes (3 m, k), less the rigid motions that fit their positions best."""
+    ones, zeros = np.ones(len(poses)), np.zeros(len(poses))
+    rigid = np.stack([np.column_stack([ones, zeros, -poses[:, 1]]),
+                      np.column_stack([zeros, ones, poses[:, 0]]),
+                      np.column_stack([zeros, zeros, ones])], axis=1).reshape(-1, 3)
+    is_position = np.tile([True, True, False], len(poses))
+    return by_node - rigid @ (np.linalg.pinv(rigid[is_position]) @ by_node[is_position])
+
+
 def _fall(multipliers: np.ndarray, information: np.ndarray) -> float:
     return float(multipliers @ np.linalg.solve(information, multipliers))
+
+
+def _unknowns(chain: Chain, calibration_variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return `_by_calibration` and the variances of all unknowns."""
+    by_calibration = _by_calibration(chain)
+    return by_calibration, np.concatenate([chain.variances.ravel(), np.tile(
+        calibration_variances, by_calibration.shape[1] // 2)])
 
 
 def _by_calibration(chain: Chain) -> np.ndarray:
@@ -151,4 +205,4 @@ def _jacobian(poses: np.ndarray, ends: np.ndarray) -> np.ndarray:
     jacobian[:, 1, :, 2] = c * lever[..., 0] + s * lever[..., 1]
     jacobian[:, 2, :, 2] = 1.0
     is_inside = (steps >= ends[:, :1]) & (steps < ends[:, 1:])
-    return (jacobian * is_inside[:, None, :, None]).reshape(3 * len(ends), -1)
+    return (jacobian * is_inside[:, None, :, None]).reshape(3 * len(ends), 3 * len(steps))
