@@ -135,6 +135,50 @@ def test_after_a_break_any_claim_may_be_true_until_one_is_believed():
     assert made.contradiction(25) is not None
 
 
+# How well places are known
+
+LONG = [compose(motion, IDENTITY)._replace(x_m=3.0) for motion in SQUARE]
+
+
+def test_the_longer_the_way_round_the_less_well_its_places_are_known():
+    def place_sigma_m(way):
+        made = journey(way)
+        meet(made, way[:2], [1, 2])
+        made.survey()
+        return made.place_sigmas()[0]
+
+    assert 0.0 < place_sigma_m(SQUARE) < 0.3 < place_sigma_m(LONG)
+
+
+def test_a_run_taken_back_says_nothing_of_where_places_are():
+    made = journey(LONG)
+    meet(made, LONG[:2], [1, 2])
+    made.survey()
+    assert made.place_sigmas()[0] > 0.0
+    made.undo(1)
+    assert made.place_sigmas() == (0.0, 0.0)
+
+
+def test_a_journey_that_goes_on_knows_places_as_well_as_before():
+    made, other = journey(LONG), Journey(Config())
+    meet(made, LONG[:2], [1, 2])
+    made.survey()
+    other.restore(made.state())
+    assert other.place_sigmas() == made.place_sigmas()
+
+
+def test_a_break_that_the_robot_was_put_over_is_as_a_match():
+    made = journey(LONG)
+    meet(made, LONG[:2], [1, 2])
+    made.break_off()
+    made.put(0, IDENTITY)
+    made.settle()
+    create(made, LONG)
+    meet(made, LONG[:2], [len(LONG) + 2, len(LONG) + 3])
+    made.survey()
+    assert 0.4 < made.place_sigmas()[0] < 3.0
+
+
 # What is taken back
 
 def strayed():

@@ -2,7 +2,7 @@
 
 from copy import copy
 from functools import lru_cache
-from math import pi
+from math import hypot, pi
 
 import numpy as np
 import pytest
@@ -437,7 +437,7 @@ def test_a_robot_must_see_a_whole_run_of_views_after_a_reset():
 
 
 def test_after_a_reset_a_place_is_believed_at_the_second_run_of_views_and_joined_by_one_link():
-    """It is as sure of the place as a match can be; the old part of the map stays."""
+    """It is as sure of the pose there as a match can be; the old part of the map stays."""
     robot, codes = Robot(**{'ratslam.sequence_length': 1}), codes_along(len(LAP))
     robot.drive(LAP[:150], codes)
     n, links, poses = len(robot.mapper.map), len(robot.mapper.map.links), robot.mapper.map.poses
@@ -448,7 +448,10 @@ def test_after_a_reset_a_place_is_believed_at_the_second_run_of_views_and_joined
     robot.drive([STEP] * 9, codes[1:])
     assert robot.mapper.place.experience == 3
     assert robot.mapper.pose() == pytest.approx(robot.mapper.map.pose(3))
-    assert robot.mapper.sigmas() == pytest.approx((0.3 * 2 ** 0.5, 0.1 * 2 ** 0.5))
+    place_m, place_rad = robot.mapper.journey.place_sigmas()
+    assert 0.0 < place_m < 0.3 and 0.0 < place_rad < 0.1
+    assert robot.mapper.sigmas() == pytest.approx(
+        (hypot(0.3, 0.3, place_m), hypot(0.1, 0.1, place_rad)))
     assert robot.mapper.map.links[links:].tolist() == [[n, n + 1], [n + 1, n + 2], [n + 2, 3]]
     np.testing.assert_allclose(robot.mapper.map.poses[:n], before, atol=1e-9)
 

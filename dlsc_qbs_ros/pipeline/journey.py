@@ -10,7 +10,7 @@ import numpy as np
 from .pieces import Pieces
 from .visits import Visits
 from ..config import Config
-from ..core.consistency import Chain, contradiction
+from ..core.consistency import Chain, contradiction, deviations
 from ..core.drift import Drift
 from ..core.geometry import between, between_rows, compose
 from ..core.types import Pose2
@@ -34,10 +34,12 @@ class Journey:
 
     """
 
-    # What bounds the time of a test: the closures in it, the newest ones, and the nodes of the
-    # path by odometry, beside those that the closures join.
+    # What bounds the time of a test or a survey: the closures in it, for a test the newest ones,
+    # and the nodes of the path by odometry, beside those that the closures join.
     MAX_CLOSURES = 40
     MAX_NODES = 100
+    # How well places are known is found for one node of so many, and interpolated in between.
+    SURVEY_STEP = 3
     # Deviation of the position after one metre of odometry's random walk.
     WALK_SIGMA_M = 0.05
     # A start of a run this many deviations of a match off is taken back.
@@ -59,6 +61,8 @@ class Journey:
         self._n_runs = 0
         self._run_start_m = self._next_closure_m = 0.0
         self._last_met_m = self.NEVER_M
+        # Visits, and the deviations of the map's places there: position in metres and heading.
+        self._surveyed: tuple[np.ndarray, np.ndarray] | None = None
 
     def reconfigure(self, config: Config) -> None:
         """Go on with other values of `live` parameters."""
@@ -83,6 +87,7 @@ class Journey:
         self._run_start_m, self._next_closure_m, self._last_met_m = state['run_metres'].tolist()
         self.visits.restore(state)
         self.pieces.restore(state)
+        self.survey()
 
     def move(self, motion: Pose2, seconds: float) -> None:
         """Carry the robot along with the odometry."""
@@ -140,16 +145,33 @@ class Journey:
         if experience is not None:
             visits, runs = np.append(visits, len(met)), np.append(runs, 0)
             starts = np.append(starts, births[experience])
-        ends = np.column_stack([starts, visits])
-        nodes = np.union1d(
-            ends, np.linspace(starts.min(), visits.max(), self.MAX_NODES, dtype=int))
         names, groups = np.unique(runs, return_inverse=True)
-        match_m, match_rad = self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad
-        worst = contradiction(
-            self._chain(nodes), np.searchsorted(nodes, ends),
-            np.square([match_m, match_m, match_rad]),
-            np.square([self._odometry.yaw_bias_rad_s, self._odometry.translation_drift]), groups)
+        nodes, *closures = self._closed(starts, visits)
+        worst = contradiction(self._chain(nodes, self.BREAK_VARIANCE), *closures, groups)
         return None if worst is None else int(names[worst])
+
+    def survey(self) -> None:
+        """Find how well the closures make known where places are in the map as a whole."""
+        births, met = self.visits.birth.values, self.visits.experience.values
+        visits = np.flatnonzero(self.visits.run.values)
+        self._surveyed = None
+        if not len(visits):
+            return
+        visits = visits[self._evenly(self.visits.flown.values[visits, 1])]
+        nodes, *closures = self._closed(births[met[visits]], visits)
+        places = np.flatnonzero(births[met[nodes]] == nodes)[::self.SURVEY_STEP]
+        # What broke was joined by a match, whether that is among these closures or not.
+        chain = self._chain(nodes, self._config.match_position_sigma_m ** 2)
+        self._surveyed = nodes[places], deviations(chain, *closures, places)
+
+    def place_sigmas(self) -> tuple[float, float]:
+        """Return the last survey's deviations, of position and heading, of the place here."""
+        if self._surveyed is None:
+            return 0.0, 0.0
+        visits, sigmas = self._surveyed
+        birth = self.visits.birth.values[self.visits.place().experience]
+        position_m, yaw_rad = (float(np.interp(birth, visits, column)) for column in sigmas.T)
+        return position_m, yaw_rad
 
     def undo(self, run: int) -> None:
         """Take back a run; the drift is what it has become since the one before it."""
@@ -164,6 +186,7 @@ class Journey:
             [visits.flown.values, visits.flown_now])[max(met, start)]
         self.drift.anchor(self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad)
         self.drift.move(Pose2(float(metres), 0.0, 0.0), float(seconds))
+        self.survey()
 
     def _cut(self) -> None:
         """Let another segment of the odometry begin."""
@@ -197,11 +220,25 @@ class Journey:
         self._closures = deque(
             [k for k in self._closures if self.visits.run.values[k]], self.MAX_CLOSURES)
 
-    def _chain(self, nodes: np.ndarray) -> Chain:
+    def _evenly(self, metres: np.ndarray) -> np.ndarray:
+        """Return the first of closures at these path lengths, (n,), in each of equal stretches."""
+        stretch_m = max(self._config.min_path_m, np.ptp(metres) / self.MAX_CLOSURES, 1e-9)
+        return np.unique(metres // stretch_m, return_index=True)[1]
+
+    def _closed(self, starts: np.ndarray, visits: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return nodes on the path, the closures' ends among them and what both may err by."""
+        ends = np.column_stack([starts, visits])
+        nodes = np.union1d(
+            ends, np.linspace(starts.min(), visits.max(), self.MAX_NODES, dtype=int))
+        match_m, match_rad = self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad
+        return (nodes, np.searchsorted(nodes, ends), np.square([match_m, match_m, match_rad]),
+                np.square([self._odometry.yaw_bias_rad_s, self._odometry.translation_drift]))
+
+    def _chain(self, nodes: np.ndarray, break_variance: float) -> Chain:
         """Return the path by odometry through visits; the one after the last visit is here."""
         poses, track, flown = self.visits.along(nodes)
         seconds, metres, breaks = np.diff(flown, axis=0).T
-        unknown = self.BREAK_VARIANCE * breaks + 1e-9
+        unknown = break_variance * breaks + 1e-9
         turn = self._odometry.yaw_noise ** 2 * seconds + unknown
         along = self.WALK_SIGMA_M ** 2 * metres + unknown
         # A turn somewhere on the way throws its end sideways.

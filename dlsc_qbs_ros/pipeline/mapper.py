@@ -168,14 +168,15 @@ class Mapper:
         """
         Return the deviations of position in metres and heading in radians of a pose in the map.
 
-        They are those of the drift, the last update's if left out, and of the place it set out
-        from, which is known as well as one view tells: views of one place err alike.
+        They are those of the drift, the last update's if left out, of the place it set out from
+        in the map as a whole, and of one view there: views of one place err alike.
         """
         if not self.is_localised:
             return inf, inf
         drift = drift or self.drift
-        return (hypot(self._config.match_position_sigma_m, drift.position_sigma_m(inf)),
-                hypot(self._config.match_yaw_sigma_rad, drift.yaw_sigma_rad()))
+        place_m, place_rad = self.journey.place_sigmas()
+        return (hypot(self._config.match_position_sigma_m, place_m, drift.position_sigma_m(inf)),
+                hypot(self._config.match_yaw_sigma_rad, place_rad, drift.yaw_sigma_rad()))
 
     def _advance(self, odometry: OdometrySample) -> Pose2:
         """Carry the place along with the odometry; return the motion since the last code."""
@@ -287,5 +288,5 @@ class Mapper:
         is_news = arrive(experience, offset)
         self.drift.anchor(self._config.match_position_sigma_m * sqrt(1.0 - trust_m),
                           self._config.match_yaw_sigma_rad * sqrt(1.0 - trust_rad))
-        if is_news:
-            self._judge()
+        if is_news and not self._judge():
+            self.journey.survey()
