@@ -10,6 +10,7 @@ import pytest
 
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.geometry import between, compose
+from dlsc_qbs_ros.core.sequence import SequenceScore
 from dlsc_qbs_ros.core.types import Code, Dictionary, OdometrySample, Pose2, View
 from dlsc_qbs_ros.errors import MapError
 from dlsc_qbs_ros.io.map_file import read_map, write_map
@@ -407,6 +408,14 @@ def test_a_map_in_which_one_view_was_met_over_and_over_is_a_map():
     RatSlam(config).restore(ratslam.state())
 
 
+def test_a_map_whose_last_views_lie_as_far_apart_as_views_may_is_a_map():
+    score, stations = SequenceScore(200), np.arange(5)
+    for _ in range(200):
+        score.update(np.zeros(5, np.float32), stations)
+        score.skip(200, stations)
+    RatSlam(CONFIG).restore(changed('looks', with_value(score.state(5)['looks'].max())))
+
+
 def changed(name, change):
     array = np.array(saved()[name])
     return {**saved(), name: change(array)}
@@ -440,7 +449,8 @@ def with_value(value, at=0):
     ('visit_runs', with_value(10**6), 'runs there were'),
     ('visit_experiences', with_value(10**6), 'indices below'),
     ('closure_visits', lambda array: array + 10**6, 'indices below'),
-    ('looks', with_value(-1), 'numbers of stations'),
+    ('looks', with_value(-1), 'stations and view cells'),
+    ('looks', with_value(10**7), 'stations and view cells'),
     ('look_likenesses', lambda array: array[:, 1:], 'the shape'),
     ('robot_stand', with_value(10**6), 'a visit'),
     ('robot_drift', with_value(-1.0), 'none below 0'),

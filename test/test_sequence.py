@@ -89,17 +89,20 @@ def test_views_that_lack_are_passed_over_though_nobody_counted_them(passed):
     assert np.argmax(result) == 12 + passed and result[12 + passed] == 1.0
 
 
-def test_a_row_of_views_goes_on_from_what_was_kept_of_it():
-    rng, stations = np.random.default_rng(0), np.array([0, 1, 2, 5, 6, 7, 8, 12, 13])
+@pytest.mark.parametrize('n_skipped', [1, 3])
+def test_a_row_of_views_goes_on_from_what_was_kept_of_it(n_skipped):
+    rng = np.random.default_rng(0)
+    stations = np.array([0, 1, 2, 5, 6, 7, 8, 14, 20, 21, 30, 31])
     kept, score = SequenceScore(5, shortest=2), SequenceScore(5, shortest=2)
-    for n in (5, 6, 7, 8):
+    for n in range(5, 12):
         score.update(rng.uniform(size=n).astype(np.float32), stations[:n])
-        score.skip(3, stations[:n])
-    kept.restore(score.state(8), stations[:8])
+        score.skip(n_skipped, stations[:n])
+    kept.restore(score.state(11), stations[:11])
     for _ in range(8):
-        row = rng.uniform(size=9).astype(np.float32)
+        row = rng.uniform(size=12).astype(np.float32)
         np.testing.assert_array_equal(
             kept.update(row, stations), score.update(row, stations))
+        np.testing.assert_array_equal(kept.is_whole, score.is_whole)
 
 
 def test_a_second_pass_in_step_scores_1_at_the_end_of_its_run():

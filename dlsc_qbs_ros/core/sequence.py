@@ -52,15 +52,15 @@ class SequenceScore:
         for row, look in zip(likenesses, self._looks):
             row[:len(look.likeness)] = look.likeness
         return {'look_likenesses': likenesses, 'looks': np.array(
-            [(self._station - look.station, look.slack) for look in self._looks], int
-        ).reshape(-1, 2)}
+            [(self._station - look.station, look.slack, len(look.likeness))
+             for look in self._looks], int).reshape(-1, 3)}
 
     def restore(self, state: dict[str, np.ndarray], stations: np.ndarray) -> None:
         """Go on from what `state` returned, with the stations (n_cells,) of the cells."""
         self._looks.extend(
-            self._look(self._station - back, likeness, slack, stations)
-            for likeness, (back, slack) in zip(state['look_likenesses'].copy(),
-                                               state['looks'].tolist()))
+            self._look(self._station - back, likeness[:n_cells], slack, stations)
+            for likeness, (back, slack, n_cells) in zip(state['look_likenesses'].copy(),
+                                                        state['looks'].tolist()))
 
     def clear(self) -> None:
         """Forget the views so far: the next one does not continue them."""

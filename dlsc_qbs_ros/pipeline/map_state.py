@@ -16,7 +16,7 @@ SHAPING = ('encoder.input', 'encoder.mode', 'encoder.n_atoms', 'patches.size',
            'patches.cells_x', 'patches.cells_y', 'pose_cells.size_xy', 'pose_cells.cell_size_m')
 LARGEST = 1e12  # seconds too, of a clock that was set from 1970 to now
 MAX_BREAKS = 1e6
-MAX_STATIONS = 1e4
+MAX_STATIONS = 1e6  # as many views as a run may have, each after a gap, are not half of it
 
 
 class Array(NamedTuple):
@@ -56,8 +56,9 @@ ARRAYS = {
     'visit_flown': Array('<f8', ('visits', 3), 'seconds, metres and breaks of odometry so far'),
     'closure_visits': Array('<i8', ('closures',), 'those under test', 'visits'),
     'put_segments': Array('<i8', ('puts', 2), 'segments of odometry that are one without a visit'),
-    'looks': Array('<i8', ('looks', 2), 'stations since the last views, and how sure that is'),
-    'look_likenesses': Array('<f4', ('looks', 'view_cells'), 'of these views to each view cell'),
+    'looks': Array('<i8', ('looks', 3), 'stations since the last views, how unsure that is, and '
+                   'the view cells that there were'),
+    'look_likenesses': Array('<f4', ('looks', 'view_cells'), 'of these views to each of those'),
     'pose_cells': Array('<f8', ('headings', 'size_xy', 'size_xy'), 'their activity'),
     'odometry_stamp_ns': Array('<i8', (1,), 'of the last odometry that was used'),
     'odometry': Array('<f8', (6,), 'it: x, y, yaw, z, roll, pitch'),
@@ -130,7 +131,7 @@ def _check_sense(state: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None
             ('put_segments', _within(state['put_segments'], 0, breaks[-1]), 'segments there were'),
             ('visit_runs', _within(state['visit_runs'], 0, state['run_counts'][0]),
              'runs there were'),
-            ('looks', _within(state['looks'], 0, MAX_STATIONS), 'numbers of stations'),
+            ('looks', _within(state['looks'], 0, MAX_STATIONS), 'stations and view cells'),
             ('run_counts', _within(state['run_counts'], 0, LARGEST), 'counts'),
             ('link_makers', _within(state['link_makers'], -1, sizes['visits'] - 1), 'visits'),
             ('robot_stand', _within(state['robot_stand'], -1, sizes['visits'] - 1), 'a visit'),
