@@ -135,6 +135,13 @@ def test_a_run_that_would_start_before_the_first_cell_is_marked_down():
     np.testing.assert_allclose(result, [-1 / 3, 1 / 3, 1.0, 1.0, 1.0])
 
 
+def test_a_view_from_before_the_first_cell_is_like_none():
+    score = SequenceScore(3, slack=1)
+    for n_cells in range(3):
+        result = score.update(np.ones(n_cells))
+    np.testing.assert_allclose(result, [1 / 3, 1 / 3])
+
+
 def test_a_view_that_does_not_continue_starts_a_run_of_its_own():
     score = SequenceScore(2)
     score.update(np.ones(4))

@@ -139,6 +139,8 @@ def _at_stations(values: np.ndarray, stations: np.ndarray) -> np.ndarray:
 
 def _best_around(row: np.ndarray, slack: int) -> np.ndarray:
     """Return the best of row[j - slack .. j + slack] for j from -slack to len(row) - 1 + slack."""
+    if not len(row):  # nothing is best
+        return row
     n = len(row) + 2 * slack
     padded = np.full(n + 2 * slack, np.nan, row.dtype)
     padded[2 * slack:2 * slack + len(row)] = row
