@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 import shlex
 import subprocess
+from zlib import crc32
 
 from setuptools import setup
 from setuptools.command.build_py import build_py
@@ -19,9 +20,10 @@ def build_kernel():
     """Compile the kernel beside its source; without a compiler, numpy does its work."""
     library = KERNEL.with_suffix('.so')
     compiler = shlex.split(os.environ.get('CC', 'cc'))
+    source = f'-DSOURCE_CRC={crc32(KERNEL.read_bytes())}u'
     try:
         library.unlink(missing_ok=True)
-        subprocess.run([*compiler, *FLAGS, KERNEL, '-o', library, '-lm'], check=True)
+        subprocess.run([*compiler, *FLAGS, source, KERNEL, '-o', library, '-lm'], check=True)
     except (OSError, subprocess.CalledProcessError) as error:
         print(f'the package goes without its compiled kernel: {error}')
 

@@ -1,5 +1,8 @@
 """The compiled kernel does what numpy does without it, and is never missed."""
 
+from ctypes import CDLL
+import shutil
+
 import numpy as np
 import pytest
 from vectors import vectors_of
@@ -10,7 +13,7 @@ from dlsc_qbs_ros.core.dictionary import DictionaryLearner
 from dlsc_qbs_ros.core.preprocessing import PixelInput
 from dlsc_qbs_ros.core.sparse_coding import infer, Lasso, sparse_codes
 
-LIBRARY = kernel.LIBRARY
+LIBRARY, SOURCE = kernel.LIBRARY, kernel.SOURCE
 needs_kernel = pytest.mark.skipif(
     kernel.LIBRARY is None, reason='the compiled kernel was not built')
 
@@ -198,16 +201,31 @@ def test_disabled_ends_with_its_block_even_by_an_error():
 
 
 def test_where_no_library_was_built_there_is_none(tmp_path, monkeypatch):
-    monkeypatch.setattr(kernel, '__file__', str(tmp_path / 'kernel.py'))
+    monkeypatch.setattr(kernel, 'SOURCE', tmp_path / '_kernel.c')
+    assert kernel._load() is None
+    shutil.copy(SOURCE, tmp_path)
     assert kernel._load() is None
 
 
-def test_a_library_of_an_earlier_version_is_left_alone(monkeypatch):
-    monkeypatch.setattr(kernel, 'CDLL', lambda path: object())
+@needs_kernel
+def test_a_library_of_another_version_is_left_alone(tmp_path, monkeypatch):
+    """Its functions may take other arguments, or planes of another layout."""
+    for path in (SOURCE, SOURCE.with_suffix('.so')):
+        shutil.copy(path, tmp_path)
+    monkeypatch.setattr(kernel, 'SOURCE', tmp_path / SOURCE.name)
+    assert kernel._load() is not None
+    with kernel.SOURCE.open('a') as stream:
+        stream.write(' ')
+    assert kernel._load() is None
+
+
+def test_a_library_that_does_not_say_what_it_was_made_of_is_left_alone(monkeypatch):
+    monkeypatch.setattr(kernel, 'CDLL', lambda path: CDLL(None))
     assert kernel._load() is None
 
 
 def test_a_library_of_another_machine_is_left_alone(tmp_path, monkeypatch):
+    shutil.copy(SOURCE, tmp_path)
     (tmp_path / '_kernel.so').write_bytes(b'\x7fELF of another machine')
-    monkeypatch.setattr(kernel, '__file__', str(tmp_path / 'kernel.py'))
+    monkeypatch.setattr(kernel, 'SOURCE', tmp_path / SOURCE.name)
     assert kernel._load() is None

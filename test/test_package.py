@@ -1,7 +1,6 @@
 """What a user installs: declared dependencies, profiles, launch files and executables."""
 
 import ast
-from ctypes import CDLL
 from importlib.util import find_spec
 import os
 from pathlib import Path
@@ -16,6 +15,7 @@ import yaml
 
 from dlsc_qbs_ros.cli import demo
 from dlsc_qbs_ros.config import Config, PARAMETERS
+from dlsc_qbs_ros.core import kernel
 from dlsc_qbs_ros.profiles import is_ros_parameter, load_profile
 
 ROOT = Path(__file__).parent.parent
@@ -160,13 +160,14 @@ def built(folder, compiler, left_behind=b''):
     return done, folder / 'out' / core / '_kernel.so'
 
 
-def test_a_build_compiles_a_kernel_that_loads(tmp_path):
+def test_a_build_compiles_a_kernel_that_loads(tmp_path, monkeypatch):
     if shutil.which(shlex.split(COMPILER)[0]) is None:
         pytest.skip(f'there is no compiler {COMPILER!r}')
     done, library = built(tmp_path, f'{COMPILER} -Wall -Wextra -Werror')
     assert done.returncode == 0, done.stderr
     assert 'without its compiled kernel' not in done.stdout, done.stderr
-    CDLL(str(library))
+    monkeypatch.setattr(kernel, 'SOURCE', library.with_suffix('.c'))
+    assert kernel._load() is not None
 
 
 @pytest.mark.parametrize('compiler', ['/nowhere/cc', 'false', f'{sys.executable} -c exit(3)'])

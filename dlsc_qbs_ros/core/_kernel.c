@@ -14,6 +14,9 @@
 #define EVERY_X86_64
 #endif
 
+/* Of this file, by setup.py: `kernel` takes no library that was made of another version of it. */
+const uint32_t source_crc = SOURCE_CRC;
+
 enum {
     BLOCK = 2048,  /* entries of a row that share a unit */
     GROUP = 256,  /* products of 16 and 8 bits whose sum fits into 32; rows are whole groups */

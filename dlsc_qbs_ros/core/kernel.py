@@ -7,17 +7,22 @@ Whoever calls a function here has made sure that `LIBRARY` is there. Arrays must
 from __future__ import annotations
 
 from contextlib import contextmanager
-from ctypes import c_double, c_float, c_int, c_size_t, c_void_p, CDLL
+from ctypes import c_double, c_float, c_int, c_size_t, c_uint32, c_void_p, CDLL
 from pathlib import Path
 from typing import Iterator
+from zlib import crc32
 
 import numpy as np
+
+SOURCE = Path(__file__).with_name('_kernel.c')
 
 
 def _load() -> CDLL | None:
     array, size, number = c_void_p, c_size_t, c_double
     try:
-        library = CDLL(str(Path(__file__).with_name('_kernel.so')))
+        source, library = SOURCE.read_bytes(), CDLL(str(SOURCE.with_suffix('.so')))
+        if c_uint32.in_dll(library, 'source_crc').value != crc32(source):
+            return None
         for function, arguments in (
                 (library.split, (array, size, size, array, array, size, array, array)),
                 (library.join, (array, array, size, array, size, size, array, size)),
@@ -31,7 +36,7 @@ def _load() -> CDLL | None:
                                         array, array)),
                 (library.active_set, (array, array, size, number, number, size, array, array))):
             function.argtypes, function.restype = arguments, None
-    except (OSError, AttributeError):  # not there, of another machine, or of an earlier version
+    except (OSError, ValueError):  # not there, of another machine, or of before there was a sum
         return None
     library.active_set.restype, library.infer.restype = c_int, c_double
     return library
