@@ -387,6 +387,16 @@ def test_nor_when_it_was_lost_where_the_map_was_loose():
     assert made.pieces.detour(9).tolist() == [0.0, 0.0]
 
 
+def test_a_robot_that_was_put_somewhere_and_then_lost_is_not_there_when_the_map_grows_again():
+    made = journey([STEP] * 3)
+    made.put(1, IDENTITY)
+    made.break_off()
+    made.settle()
+    made.visits.create(made.visits.pose())
+    assert not made.pieces.is_localised
+    assert links(made).keys() == {(0, 1), (1, 2), (2, 3)}
+
+
 def test_what_no_match_led_to_is_where_it_was_put_by_hand():
     made = journey([STEP] * 3)
     for _ in range(2):

@@ -107,8 +107,9 @@ class Journey:
 
     def settle(self) -> None:
         """Visit the place that the robot was put to, so that the way on is linked to it."""
-        if self.visits.is_put:
-            place = self.visits.place()
+        place = self.visits.place()
+        # Where odometry broke since then, there is no way on from it.
+        if self.visits.is_put and not self.pieces.is_apart(place.experience):
             self._cut()
             self._n_runs += 1
             self._last_met_m = self.NEVER_M
