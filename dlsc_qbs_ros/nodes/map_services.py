@@ -114,10 +114,11 @@ class MapServices:
 
     async def _load_map(self) -> str:
         path = self._path()
-        return self._take_over(path, *await finished(self._worker.submit(self._read, path)))
+        return self._take_over(path, *await finished(
+            self._node, self._worker.submit(self._read, path)))
 
     async def _save_map(self) -> str:
-        return await finished(self._save())
+        return await finished(self._node, self._save())
 
     def _save(self) -> Future:
         """Hand a copy of the map to the thread that writes it."""

@@ -91,7 +91,7 @@ class RecorderNode(ManagedNode):
         self._record()
         work = act()
         if work is not None:
-            await finished(work)
+            await finished(self, work)
         return answer
 
     def _discover(self) -> None:

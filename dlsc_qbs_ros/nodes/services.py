@@ -32,9 +32,15 @@ def offer(node: Node, srv_type: type, name: str, act: Callable) -> None:
                         callback_group=MutuallyExclusiveCallbackGroup())
 
 
-async def finished(work: Future) -> Any:
-    """Return the result of another thread's work, once it is there."""
+async def finished(node: Node, work: Future) -> Any:
+    """Return the result of another thread's work, as soon as it is there, in `node`'s executor."""
     done = rclpy.task.Future()
-    work.add_done_callback(done.set_result)
+
+    def resume(_) -> None:
+        done.set_result(None)
+        executor = node.executor
+        if executor is not None:
+            executor.wake()  # it may wait for its next timer
+    work.add_done_callback(resume)
     await done
     return work.result()

@@ -1,11 +1,14 @@
 """Services say what was done or why not, and nothing waits for one that takes its time."""
 
 from concurrent.futures import Future
+import threading
 
 from dlsc_qbs_ros.errors import MapError
 from dlsc_qbs_ros.nodes.services import finished, offer
 from dlsc_qbs_ros.ros.managed_node import ManagedNode
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool, Trigger
 
 
@@ -32,7 +35,7 @@ class Worker(ManagedNode):
 
     async def _work(self):
         self.given.append(Future())
-        return await finished(self.given[-1])
+        return await finished(self, self.given[-1])
 
     async def _block(self, request, response):
         await self._work()
@@ -88,6 +91,18 @@ def test_calls_of_one_service_come_one_by_one(worker, observer):
     worker.given[1].set_result('done')
     observer.spin_until(lambda: first.done() and second.done())
     assert (first.result().message, second.result().message) == ('too old', 'done')
+
+
+def test_who_waits_for_another_thread_needs_no_timer_to_go_on(observer):
+    executor, work = SingleThreadedExecutor(context=observer.node.context), Future()
+    node = rclpy.create_node('quiet', context=observer.node.context)
+    executor.add_node(node)
+    task = executor.create_task(finished(node, work))
+    threading.Timer(0.3, work.set_result, ['done']).start()
+    executor.spin_until_future_complete(task, 30.0)
+    assert task.done() and task.result() == 'done'
+    executor.shutdown()
+    node.destroy_node()
 
 
 def test_a_node_that_is_cleaned_up_owes_no_answer(worker, observer):
