@@ -38,7 +38,7 @@ class MapServices:
         # The codes used when the map last grew, and when it was as in the file that is its own.
         self._grown_at = self._saved_at = 0
         self._own_file = ''
-        self._has_ended = False
+        self._is_loading = self._has_ended = False
         # There before a thread counts: nobody who goes through the counts sees them grow.
         ratslam.counts['maps_not_saved'] += 0
         self._begin()
@@ -68,7 +68,7 @@ class MapServices:
 
     def stop(self) -> None:
         """Save what is new, if the map is to be saved at all, and end."""
-        self._has_ended = True
+        self._is_loading, self._has_ended = False, True  # what is still read is let go
         if self._config.ratslam.autosave_s:
             self._worker.submit(int).result()
             self._autosave()
@@ -113,9 +113,12 @@ class MapServices:
         return f'{path}: {len(mapper.map)} experiences'
 
     async def _load_map(self) -> str:
-        path = self._path()
-        return self._take_over(path, *await finished(
-            self._node, self._worker.submit(self._read, path)))
+        path, self._is_loading = self._path(), True
+        try:
+            return self._take_over(path, *await finished(
+                self._node, self._worker.submit(self._read, path)))
+        finally:
+            self._is_loading = False
 
     async def _save_map(self) -> str:
         return await finished(self._node, self._save())
@@ -144,7 +147,9 @@ class MapServices:
         self._save_aside()
 
     def _save_aside(self) -> None:
-        """Save the map where no other is, and say so if that goes wrong."""
+        """Save the map where no other is nor is read, and say so if that goes wrong."""
+        if self._is_loading:
+            return  # what is to be given up would be written over what takes its place
         try:
             if self._path() != self._own_file and self._has_file():
                 raise MapError(f'{self._path()} holds another: call save_map or load_map')

@@ -261,6 +261,26 @@ def test_no_map_but_its_own_is_written_over_unasked(keeper, tmp_path):
     assert yesterday.read_bytes() == b'yesterday'
 
 
+def test_what_was_flown_is_not_saved_over_the_map_that_is_being_loaded(
+        keeper, tmp_path, monkeypatch):
+    services, autosave, error = keeper(tmp_path / 'hall.map')
+    write, may_read = Mock(side_effect=write_map), threading.Event()
+    monkeypatch.setattr(map_services, 'write_map', write)
+    monkeypatch.setattr(map_services, 'read_map', lambda path: may_read.wait() and read_map(path))
+    autosave()
+    services._worker.submit(int).result()
+    services._ratslam.counts['codes_used'] += 1
+    loading = services._load_map()
+    loading.send(None)
+    autosave()
+    may_read.set()
+    services._worker.submit(int).result()
+    with pytest.raises(StopIteration):
+        loading.send(None)
+    services.stop()
+    assert (write.call_count, error.called) == (1, False)
+
+
 @pytest.fixture
 def slow_reader(spinning, observer, tmp_path, monkeypatch, flight):
     """Give an event: only then, or when it ends, a node reads a map."""
