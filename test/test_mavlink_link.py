@@ -13,7 +13,7 @@ from dlsc_qbs_ros.errors import ConfigError
 from dlsc_qbs_ros.io.mavlink import link as mavlink
 from dlsc_qbs_ros.io.mavlink.connection import connector
 from dlsc_qbs_ros.io.mavlink.link import MavlinkLink
-from mavlink_peer import dialect, free_port, heartbeat, odometry, Peer, wait_until
+from mavlink_peer import dialect, free_port, heartbeat, odometry, Peer, TIMEOUT_S, wait_until
 import pytest
 
 PERIOD_S = 0.02
@@ -278,6 +278,21 @@ def test_nobody_waits_for_the_other_side_of_a_tcp_line_to_read():
             with pytest.raises(BlockingIOError):
                 for _ in range(1000):
                     line.send(bytes(100_000))
+
+
+def test_a_tcp_line_that_took_half_a_packet_takes_no_other():
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        with closing(connector(f'tcp:127.0.0.1:{server.getsockname()[1]}')()) as line:
+            peer, _ = server.accept()
+            with peer:
+                peer.settimeout(TIMEOUT_S)
+                with pytest.raises(BlockingIOError, match='does not read'):
+                    for _ in range(1000):
+                        line.send(bytes(100_000))
+                while peer.recv(1_000_000):  # up to the end of the line
+                    pass
+                with pytest.raises(ConnectionError):
+                    line.receive()
 
 
 def test_tries_follow_each_other_so_that_odometry_is_back_within_a_second(monkeypatch):

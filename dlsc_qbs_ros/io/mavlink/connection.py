@@ -150,6 +150,7 @@ class _Tcp(_Socket):
     def send(self, data: bytes) -> None:
         # Where there is no room, seconds wait for the other side already: nobody waits with them.
         if self._socket.send(data) < len(data):
+            self._socket.shutdown(socket.SHUT_RDWR)  # half a packet would spoil the next
             raise BlockingIOError('the other side does not read')
 
 
