@@ -26,9 +26,9 @@ class Peer:
         return packet
 
 
-def heartbeat(autopilot=dialect.MAV_AUTOPILOT_PX4):
+def heartbeat(autopilot=dialect.MAV_AUTOPILOT_PX4, vehicle=dialect.MAV_TYPE_QUADROTOR):
     return dialect.MAVLink_heartbeat_message(
-        dialect.MAV_TYPE_QUADROTOR, autopilot, 0, 0, dialect.MAV_STATE_ACTIVE, 3)
+        vehicle, autopilot, 0, 0, dialect.MAV_STATE_ACTIVE, 3)
 
 
 def odometry(time_s, x=0.0, y=0.0, z=0.0, q=(1.0, 0.0, 0.0, 0.0), **fields):

@@ -142,6 +142,19 @@ def test_who_takes_the_place_of_an_autopilot_that_fell_silent_is_believed_in_its
     assert flight.counts == {'mavlink_autopilots_replaced': 1}
 
 
+@pytest.mark.parametrize('kind', ['GCS', 'ONBOARD_CONTROLLER', 'GIMBAL'])
+def test_a_heartbeat_of_what_does_not_fly_is_no_autopilots_whatever_it_says(kind):
+    flight = Flight(component=0)
+    other = heartbeat(dialect.MAV_AUTOPILOT_GENERIC, getattr(dialect, f'MAV_TYPE_{kind}'))
+    flight.receive(other, peer=Peer(255, 190))
+    assert flight.companion.state()['mavlink_autopilot'] == 'none'
+    flight.receive(heartbeat())
+    for _ in range(30):
+        flight.run(0.5)
+        flight.receive(other, peer=Peer(255, 190))
+    assert flight.companion.state()['mavlink_autopilot'] == '1/1'
+
+
 def test_an_autopilot_that_is_heard_keeps_its_place():
     flight = Flight()
     for _ in range(30):

@@ -15,6 +15,8 @@ from ...core.types import RawOdometry
 # Who is silent for so long, while another beats so often, has been replaced.
 SILENCE_NS = 10_000_000_000
 N_BEATS = 5
+# What has no autopilot of its own, though scripts often say that it has.
+NO_VEHICLES = {dialect.MAV_TYPE_GCS, dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_TYPE_GIMBAL}
 REPLACED = 'mavlink_autopilots_replaced'
 
 
@@ -109,5 +111,6 @@ class Receiver:
         message = packet.message
         return (message is not None and message.get_type() == 'HEARTBEAT'
                 and message.autopilot != dialect.MAV_AUTOPILOT_INVALID
+                and message.type not in NO_VEHICLES
                 and self._config.system in (0, packet.system)
                 and self._config.component in (0, packet.component))
