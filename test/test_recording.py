@@ -330,6 +330,34 @@ def test_of_a_latched_topic_as_many_messages_are_repeated_as_it_has_publishers(t
     assert numbers_of(tmp_path / 'bag' / 'bag_1.mcap') == [1, 2, 3]
 
 
+@pytest.mark.parametrize('room', range(7 * MB, 10 * MB, 500_000))
+def test_the_counts_hold_where_a_disk_refuses_what_is_repeated(
+        record, tmp_path, monkeypatch, room):
+    SmallDisk(tmp_path / 'flight', monkeypatch, room, errno.EIO)
+    recording = record(compression='none')
+    topics = ['/c', '/d', '/e']
+    for topic in topics:
+        recording.add_topic(topic, TYPE, LATCHED)
+        send(recording, [0], topic, n_bytes=1_200_000)
+    for k in (1, 2, 3):
+        recording.split()
+        send(recording, [k])
+    assert 'Input/output error' in close(recording)
+    counts = recording.status().topics
+    assert sum(map(sum, counts.values())) == 6
+    assert all(counts[topic] == (1, 0, 0) for topic in topics)
+    assert numbers_of(recording.directory) == [0, 0, 0, *range(1, 1 + counts['/a'].written)]
+
+
+@pytest.mark.parametrize('kilobytes', [35, 60, 80])
+def test_what_is_latched_makes_no_file_larger_than_it_may_be(record, kilobytes):
+    recording = record(max_bytes=100 * KB)
+    send(recording, [0], topic='/b', n_bytes=45 * KB)
+    send(recording, range(1, 6), n_bytes=kilobytes * KB)
+    recording.close()
+    assert max(path.stat().st_size for path in files_of(recording)) <= 100 * KB
+
+
 def test_what_is_latched_never_fills_a_file(record):
     recording = record(max_bytes=50 * KB)
     send(recording, [0], topic='/b', n_bytes=30 * KB)

@@ -75,15 +75,17 @@ class BagFile:
         """Put a table of words into it."""
         self._ballast.insist(lambda: self._writer.add_metadata(name, mapping))
 
+    def size_with(self, n_bytes: int) -> int:
+        """Return about how large it would be in the end with one more message."""
+        return (self.size_bytes + self._writer.pending_bytes + n_bytes + self._writer.index_bytes
+                + _TOPIC_IN_METADATA_BYTES * len(self._channels))
+
     def has_place(self, n_bytes: int, log_time_ns: int, max_bytes: int, max_duration_s: float
                   ) -> bool:
         """Tell whether a message may go in, as the first may; a limit of 0 is none."""
         if self.is_empty:
             return True
-        size_bytes = (self.size_bytes + self._writer.pending_bytes + n_bytes
-                      + self._writer.index_bytes
-                      + _TOPIC_IN_METADATA_BYTES * len(self._channels))
-        is_small = not max_bytes or size_bytes <= max_bytes
+        is_small = not max_bytes or self.size_with(n_bytes) <= max_bytes
         return is_small and (
             not max_duration_s  # a simulated clock may fall back
             or abs(log_time_ns - self._first_ns) < max_duration_s * 1e9)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import contextmanager, ExitStack, suppress
+from math import inf
 from pathlib import Path
 import threading
 import time
@@ -66,7 +67,7 @@ class BagWriter:
         self._finished: list[FileSummary] = []
         self._unsynced: list[Path] = []
         self._finished_counts: Counter[str] = Counter()
-        self._repeated: Counter[str] = Counter()
+        self._repeated: Counter[str] = Counter()  # what the file begins with
         self._finished_bytes = self._n_accepted = 0
         self._closed = False
         self._held = ExitStack()
@@ -95,7 +96,7 @@ class BagWriter:
         """Return the messages on the disk, and those that the ring has deleted, by topic."""
         with self._lock:
             in_file = self._file.counts if self._file else Counter()
-            return self._finished_counts + in_file - self._repeated
+            return self._finished_counts + (in_file - self._repeated)
 
     @property
     def byte_count(self) -> int:
@@ -146,9 +147,7 @@ class BagWriter:
                 self._finish()
             file = self._opened()
             if file.is_empty:
-                repeated = self._latched.begin(file, log_time_ns, self._config.max_bytes)
-                with self._lock:
-                    self._repeated += repeated
+                self._repeat(file, log_time_ns, len(data))
             self._n_accepted += 1
             file.write(topic, data, log_time_ns, publish_time_ns, sequence)
         self._latched.keep(LatchedMessage(topic, data, publish_time_ns, sequence))
@@ -246,6 +245,15 @@ class BagWriter:
             self._changed()
         return self._file
 
+    def _repeat(self, file: BagFile, log_time_ns: int, n_bytes: int) -> None:
+        """Begin a file with what is latched, where half of it and the next message have room."""
+        max_bytes = self._config.max_bytes or inf
+        messages = self._latched.last(min(max_bytes / 2, max_bytes - file.size_with(n_bytes)))
+        with self._lock:
+            self._repeated = Counter(message.topic for message in messages)
+        for topic, data, *rest in messages:
+            file.write(topic, data, log_time_ns, *rest)
+
     def _finish(self) -> None:
         self._file.finish(self._words)
         self._note_end()
@@ -253,7 +261,8 @@ class BagWriter:
     def _note_end(self) -> None:
         with self._lock:
             self._finished.append(self._file.summary())
-            self._finished_counts += self._file.counts
+            self._finished_counts += self._file.counts - self._repeated
+            self._repeated = Counter()
             self._finished_bytes += self._file.size_bytes
             self._file = None
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from itertools import chain
-from math import inf
 from typing import Any, Mapping, NamedTuple, Sequence
-
-from .bag_file import BagFile
 
 
 class LatchedMessage(NamedTuple):
@@ -42,18 +39,11 @@ class Latched:
         if message.topic in self._messages:
             self._messages[message.topic].append(message)
 
-    def begin(self, file: BagFile, log_time_ns: int, max_bytes: int) -> Counter[str]:
-        """
-        Begin a file with what a subscriber that comes now is told; return how much, by topic.
-
-        What half a file has no room for is left out, or none would have room for more; 0 is no
-        bound.
-        """
-        room_bytes, begun = max_bytes // 2 or inf, Counter()
-        for topic, data, *rest in chain.from_iterable(self._messages.values()):
-            if len(data) <= room_bytes:
-                room_bytes -= len(data)
-                file.write(topic, data, log_time_ns, *rest)
-                begun[topic] += 1
-        file.flush()
-        return begun
+    def last(self, room_bytes: float) -> list[LatchedMessage]:
+        """Return what a subscriber that comes now is told, less what there is no room for."""
+        told = []
+        for message in chain.from_iterable(self._messages.values()):
+            if len(message.data) <= room_bytes:
+                room_bytes -= len(message.data)
+                told.append(message)
+        return told
