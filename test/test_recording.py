@@ -358,6 +358,21 @@ def test_what_is_latched_makes_no_file_larger_than_it_may_be(record, kilobytes):
     assert max(path.stat().st_size for path in files_of(recording)) <= 100 * KB
 
 
+def test_what_is_no_longer_latched_is_not_repeated_and_what_was_is_still_read_once(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.add_topic('/b', TYPE, LATCHED)
+        for k in (0, 1):
+            writer.write('/b', note(k), k, k)
+            writer.split()
+        writer.add_topic('/b', TYPE, [{'durability': 'volatile'}])
+        for k in (2, 3):
+            writer.write('/b', note(k), k, k)
+            writer.split()
+    files = [numbers_of(tmp_path / 'bag' / f'bag_{k}.mcap') for k in range(4)]
+    assert files == [[0], [0, 1], [2], [3]]
+    assert numbers_of(tmp_path / 'bag') == [0, 1, 2, 3]
+
+
 def test_what_is_latched_never_fills_a_file(record):
     recording = record(max_bytes=50 * KB)
     send(recording, [0], topic='/b', n_bytes=30 * KB)

@@ -17,8 +17,9 @@ def bag_topics(path: Path) -> dict[str, str]:
 
 
 def latched_topics(path: Path) -> set[str]:
-    """Return the topics whose last message is meant for late subscribers too."""
-    return {topic for topic, recorded in _topics(Path(path)).items() if recorded.is_latched}
+    """Return the topics whose last message was, in any file, meant for late subscribers too."""
+    return {topic for file_path in _files(Path(path))
+            for topic, recorded in file_topics(file_path).items() if recorded.is_latched}
 
 
 def read_bag(path: Path, topics: Collection[str] | None = None) -> Iterator[BagMessage]:

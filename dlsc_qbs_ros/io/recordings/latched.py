@@ -28,10 +28,12 @@ class Latched:
         self._messages: dict[str, deque[LatchedMessage]] = {}
 
     def announce(self, topic: str, offered_qos: Sequence[Mapping[str, Any]]) -> None:
-        """Take in what the publishers of a topic offer; those who have gone stay valid."""
+        """Take in what the publishers of a topic offer; while one latches, all gone stay valid."""
         n_latched = sum(qos.get('durability') == 'transient_local' for qos in offered_qos)
         before = self._messages.get(topic, deque(maxlen=0))
-        if n_latched > before.maxlen:
+        if not n_latched:
+            self._messages.pop(topic, None)
+        elif n_latched > before.maxlen:
             self._messages[topic] = deque(before, n_latched)
 
     def keep(self, message: LatchedMessage) -> None:
