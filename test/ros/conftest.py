@@ -185,7 +185,7 @@ def spinning(domain_id):
     yield start_spinning
     stop.received = True
     for thread in threads:
-        thread.join(STOP_TIMEOUT_S)
+        thread.join(TIMEOUT_S)
     are_ended = not any(thread.is_alive() for thread in threads)
     rclpy.shutdown()
     assert (are_ended, errors) == (True, [])

@@ -306,6 +306,8 @@ def test_while_a_map_is_read_poses_go_on_and_then_it_is_shown_at_once(
     odometry = observer.advertise(Odometry, 'odom')
     poses = observer.collect(PoseWithCovarianceStamped, 'pose')
     paths = observer.collect(Path, 'path', depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    observer.spin_until(odometry.get_subscription_count)
+    observer.spin_until(lambda: observer.node.count_publishers('pose'))
     answer = load(observer)
     samples = (event for event in flight if isinstance(event, OdometrySample))
 
