@@ -142,7 +142,8 @@ def test_who_takes_the_place_of_an_autopilot_that_fell_silent_is_believed_in_its
     assert flight.counts == {'mavlink_autopilots_replaced': 1}
 
 
-@pytest.mark.parametrize('kind', ['GCS', 'ONBOARD_CONTROLLER', 'GIMBAL'])
+@pytest.mark.parametrize('kind', [
+    'GCS', 'ONBOARD_CONTROLLER', 'GIMBAL', 'ANTENNA_TRACKER'])
 def test_a_heartbeat_of_what_does_not_fly_is_no_autopilots_whatever_it_says(kind):
     flight = Flight(component=0)
     other = heartbeat(dialect.MAV_AUTOPILOT_GENERIC, getattr(dialect, f'MAV_TYPE_{kind}'))

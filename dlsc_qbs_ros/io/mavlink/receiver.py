@@ -15,8 +15,9 @@ from ...core.types import RawOdometry
 # Who is silent for so long, while another beats so often, has been replaced.
 SILENCE_NS = 10_000_000_000
 N_BEATS = 5
-# What has no autopilot of its own, though scripts often say that it has.
-NO_VEHICLES = {dialect.MAV_TYPE_GCS, dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_TYPE_GIMBAL}
+# What does not fly; scripts often name an autopilot all the same, and a tracker has one.
+NO_VEHICLES = {dialect.MAV_TYPE_GCS, dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_TYPE_GIMBAL,
+               dialect.MAV_TYPE_ANTENNA_TRACKER}
 REPLACED = 'mavlink_autopilots_replaced'
 
 
