@@ -1,7 +1,9 @@
 """The ratslam node with an autopilot in place of a topic, over a real UDP link."""
 
 from contextlib import contextmanager
+from pathlib import Path
 import socket
+import subprocess
 import sys
 from threading import Thread
 import time
@@ -9,11 +11,9 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from dlsc_qbs_ros.config import Config
 from dlsc_qbs_ros.core.types import OdometrySample, Pose2, RawOdometry
-from dlsc_qbs_ros.errors import ConfigError
 from dlsc_qbs_ros.io.mavlink.autopilot import Autopilot
 from dlsc_qbs_ros.io.mavlink.autopilot_messages import ENCODERS
 from dlsc_qbs_ros.nodes.odometry_link import MAX_WAITING, OdometryLink
-from dlsc_qbs_ros.nodes.odometry_source import create_odometry_source
 from geometry_msgs.msg import PoseWithCovarianceStamped
 import pytest
 
@@ -143,13 +143,19 @@ def test_an_executor_that_stands_still_loses_what_exceeds_the_queue_and_counts_i
     source.stop()
 
 
-def test_without_pymavlink_a_link_is_refused_in_words(monkeypatch):
-    for module in [name for name in sys.modules if name.startswith((
-            'dlsc_qbs_ros.nodes.odometry_link', 'dlsc_qbs_ros.io.mavlink.link', 'pymavlink'))]:
-        monkeypatch.delitem(sys.modules, module)
-    monkeypatch.setitem(sys.modules, 'pymavlink', None)
-    with pytest.raises(ConfigError, match='needs pymavlink, which is not installed'):
-        create_odometry_source(None, Config().override({'odometry.source': 'mavlink'}))
+def test_without_pymavlink_a_link_is_refused_in_words():
+    code = """if True:
+        import sys
+        sys.modules['pymavlink'] = None
+        from dlsc_qbs_ros.config import Config
+        from dlsc_qbs_ros.nodes.odometry_source import create_odometry_source
+        create_odometry_source(None, Config().override({'odometry.source': 'mavlink'}))"""
+    process = subprocess.run([sys.executable, '-c', code], cwd=Path(__file__).parents[2],
+                             capture_output=True, text=True, timeout=60)
+    assert process.returncode == 1
+    assert process.stderr.splitlines()[-1] == (
+        "dlsc_qbs_ros.errors.ConfigError: odometry.source = 'mavlink': needs pymavlink, which is "
+        'not installed')
 
 
 @pytest.mark.parametrize('parameter, said', [
