@@ -451,7 +451,7 @@ def test_after_a_reset_a_place_is_believed_at_the_second_run_of_views_and_joined
     place_m, place_rad = robot.mapper.journey.place_sigmas()
     assert 0.0 < place_m < 0.3 and 0.0 < place_rad < 0.1
     assert robot.mapper.sigmas() == pytest.approx(
-        (hypot(0.3, 0.3, place_m), hypot(0.1, 0.1, place_rad)))
+        (hypot(0.3, 0.3, place_m), hypot(0.1, 0.1, place_rad)), rel=1e-3)  # of odometry's turns
     assert robot.mapper.map.links[links:].tolist() == [[n, n + 1], [n + 1, n + 2], [n + 2, 3]]
     np.testing.assert_allclose(robot.mapper.map.poses[:n], before, atol=1e-9)
 

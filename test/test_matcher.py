@@ -94,3 +94,38 @@ def test_a_place_of_the_lost_stretch_may_lie_off_by_the_odometry_that_leads_to_i
     seen = Matcher(Config(), made)
     assert seen.trust(0) == (pytest.approx(0.9), pytest.approx(0.5))
     assert max(seen.trust(1)) < 0.5 and np.isfinite(seen.trust(1)).all()
+
+
+class TestBend:
+    """A run of views may be met a view early or late, in a bend on another heading by the turn."""
+
+    # Before each place; odometry breaks before the last one, and that turn is of no path.
+    TURNS_RAD = [0.0, 0.0, 0.0, 0.6, -0.24, 0.0, 1.5]
+
+    def journey(self):
+        journey = Journey(CONFIG)
+        matcher = Matcher(CONFIG, journey)
+        for k, turn_rad in enumerate(self.TURNS_RAD):
+            if k == len(self.TURNS_RAD) - 1:
+                journey.break_off()
+            journey.move(Pose2(1.0, 0.0, turn_rad), 1.0)
+            journey.visits.create(Pose2(float(k), 0.0, 0.0))
+            matcher.add_experience(k)
+        return journey, matcher
+
+    @pytest.mark.parametrize('place, turn_rad', [
+        (0, 0.0), (1, 0.0), (2, 0.6), (3, 0.6), (4, 0.24), (5, 0.0), (6, 0.0)])
+    def test_the_heading_is_known_less_there(self, place, turn_rad):
+        _, matcher = self.journey()
+        assert matcher.sigmas_at(place) == (
+            CONFIG.ratslam.match_position_sigma_m,
+            pytest.approx(np.hypot(CONFIG.ratslam.match_yaw_sigma_rad, turn_rad)))
+
+    @pytest.mark.parametrize('place, share', [(0, 0.5), (3, 1 / 38)])
+    def test_so_odometry_counts_for_more_beside_it(self, place, share):
+        """By variances: here odometry knows the heading as well as a match on the straight."""
+        journey, matcher = self.journey()
+        journey.put(place, Pose2(0.0, 0.0, 0.3))
+        journey.drift.anchor(0.0, CONFIG.ratslam.match_yaw_sigma_rad)
+        assert matcher.trust(place)[1] == pytest.approx(1.0 - share)
+        assert matcher.offset_from(place).yaw_rad == pytest.approx(0.3 * (1.0 - share))

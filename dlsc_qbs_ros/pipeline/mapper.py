@@ -284,9 +284,9 @@ class Mapper:
         """Arrive at an old experience."""
         offset = self._matcher.offset_from(experience)
         trust_m, trust_rad = self._matcher.trust(experience)
+        sigma_m, sigma_rad = self._matcher.sigmas_at(experience)
         arrive = self.journey.meet if self.is_mapping else self.journey.put
         is_news = arrive(experience, offset)
-        self.drift.anchor(self._config.match_position_sigma_m * sqrt(1.0 - trust_m),
-                          self._config.match_yaw_sigma_rad * sqrt(1.0 - trust_rad))
+        self.drift.anchor(sigma_m * sqrt(1.0 - trust_m), sigma_rad * sqrt(1.0 - trust_rad))
         if is_news and not self._judge():
             self.journey.survey()

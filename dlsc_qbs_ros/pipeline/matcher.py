@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf
+from math import hypot, inf
 from typing import NamedTuple
 
 import numpy as np
@@ -138,13 +138,23 @@ class Matcher:
                        if match.is_jump else self._is_outdone(match.view_cell, score))
         return None if is_doubtful else match
 
+    def sigmas_at(self, experience: int) -> tuple[float, float]:
+        """
+        Return the deviations of position and heading at which a view is met again.
+
+        A run may be met a view early or late: in a bend the heading is off by that turn, too.
+        """
+        turn_rad = self._visits.turn_at(int(self._visits.birth.values[experience]))
+        return (self._config.match_position_sigma_m,
+                hypot(self._config.match_yaw_sigma_rad, turn_rad))
+
     def trust(self, experience: int) -> tuple[float, float]:
         """Return the weights of odometry beside a view, for position and heading."""
         if self._pieces.is_apart(experience):
             return 0.0, 0.0
-        sigma_m, sigma_rad = self._sigmas(experience)
-        return (_share(self._config.match_position_sigma_m, sigma_m),
-                _share(self._config.match_yaw_sigma_rad, sigma_rad))
+        of_match, of_odometry = self.sigmas_at(experience), self._sigmas(experience)
+        trust_m, trust_rad = map(_share, of_match, of_odometry)
+        return trust_m, trust_rad
 
     def offset_from(self, experience: int) -> Pose2:
         """

@@ -8,7 +8,7 @@ from math import hypot
 import numpy as np
 
 from ..core.experience_map import ExperienceMap
-from ..core.geometry import between, between_rows, compose, compose_rows, invert
+from ..core.geometry import between, between_rows, compose, compose_rows, invert, wrap_angle
 from ..core.rows import Rows
 from ..core.types import IDENTITY, Pose2, Track
 from ..errors import MapError
@@ -187,6 +187,13 @@ class Visits:
     def track_at(self, visit: int) -> Pose2:
         """Return where the robot was by odometry alone at a visit."""
         return Pose2(*self._track.values[visit].tolist())
+
+    def turn_at(self, visit: int) -> float:
+        """Return by how much the robot turned between a visit and the one before or after it."""
+        around = np.arange(max(visit - 1, 0), min(visit + 2, len(self.run.values)))
+        around = around[self.flown.values[around, 2] == self.flown.values[visit, 2]]
+        turns_rad = self._track.values[around, 2] - self._track.values[visit, 2]
+        return float(np.abs(wrap_angle(turns_rad)).max())
 
     def ages(self, experiences: np.ndarray | slice = ALL) -> np.ndarray:
         """Return the seconds and metres flown since experiences were created, (n, 2)."""
