@@ -349,7 +349,7 @@ def test_stable_is_a_coding_rate_below_two_over_lambda_max(share, spectrum):
 # Memory
 
 def held_by(learner):
-    """Return the bytes of all arrays a learner holds that are of size n_inputs, each once."""
+    """Return the bytes of all arrays a learner holds of n_inputs entries or more, each once."""
     buffers, left, seen = {}, [learner], set()
     while left:
         value = left.pop()
@@ -359,7 +359,7 @@ def held_by(learner):
         if isinstance(value, np.ndarray):
             while isinstance(value.base, np.ndarray):
                 value = value.base
-            buffers[id(value)] = value.nbytes if value.shape[-1] >= N_PAPER else 0
+            buffers[id(value)] = value.nbytes if value.size >= N_PAPER else 0
         elif hasattr(value, '__dict__'):
             left.extend(vars(value).values())
     return sum(buffers.values())

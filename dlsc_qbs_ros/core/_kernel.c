@@ -18,32 +18,33 @@
 const uint32_t source_crc = SOURCE_CRC;
 
 enum {
-    BLOCK = 2048,  /* entries of a row that share a unit */
-    GROUP = 256,  /* products of 16 and 8 bits whose sum fits into 32; rows are whole groups */
-    AHEAD = 4 * GROUP,  /* entries fetched so far ahead hide the way from memory */
+    BLOCK = 2048,  /* columns of a block; entries of a row of it share a unit */
+    GROUP = 256,  /* products of 16 and 8 bits whose sum fits into 32 */
+    ROWS = 4,  /* rows that are multiplied in turns: memory gives several streams faster */
     ENTRY_MAX = 0x7fffff
 };
 
-/* Have memory brought nearer that is needed soon; any address will do. */
+/* Have memory brought to the second-level cache that is needed soon; any address will do. */
 static inline void fetch(const void *start, size_t size)
 {
     for (size_t offset = 0; offset < size; offset += 64)
-        __builtin_prefetch((const char *)start + offset);
+        __builtin_prefetch((const char *)start + offset, 0, 2);
 }
 
 /*
- * planes: a matrix in three bytes an entry. An entry is (256 high + low) unit, its unit a power of
- * two for each row of a block, so it is a float to the last bit. Rows are `stride` entries apart.
+ * planes: a matrix in three bytes an entry, block by block of columns. An entry is
+ * (256 high + low) unit, its unit a power of two for each row of a block, so it is a float to the
+ * last bit. Rows of a block are BLOCK entries, of which `width` are in use; others are zeros.
  */
 
 /* planes: write a block of rows of floats, with the unit of each and the sum of its entries */
 EVERY_X86_64
 void split(const float *values, size_t n_rows, size_t width, int16_t *high, uint8_t *low,
-           size_t stride, double *units, double *sums)
+           double *units, double *sums)
 {
-    for (; n_rows-- > 0; values += width, high += stride, low += stride) {
-        fetch(high + stride, width * sizeof *high);
-        fetch(low + stride, width);
+    for (; n_rows-- > 0; values += width, high += BLOCK, low += BLOCK) {
+        fetch(high + BLOCK, width * sizeof *high);
+        fetch(low + BLOCK, width);
         uint32_t bits = 0;  /* of numbers without their signs, in the order of the numbers */
         for (size_t j = 0; j < width; j++) {
             uint32_t of_value;
@@ -71,89 +72,95 @@ void split(const float *values, size_t n_rows, size_t width, int16_t *high, uint
 
 /* planes: read a block of rows */
 EVERY_X86_64
-void join(const int16_t *high, const uint8_t *low, size_t stride, const double *units,
-          size_t n_rows, size_t width, float *values, size_t values_stride)
+void join(const int16_t *high, const uint8_t *low, const double *units, size_t n_rows,
+          size_t width, float *values, size_t values_stride)
 {
-    for (; n_rows-- > 0; values += values_stride, high += stride, low += stride) {
+    for (; n_rows-- > 0; values += values_stride, high += BLOCK, low += BLOCK) {
         const float unit = (float)*units++;
-        fetch(high + stride, width * sizeof *high);
-        fetch(low + stride, width);
+        fetch(high + BLOCK, width * sizeof *high);
+        fetch(low + BLOCK, width);
         for (size_t j = 0; j < width; j++)
             values[j] = (float)(high[j] * 256 + low[j]) * unit;
     }
 }
 
-/* planes: pixels without their mean, of rows with factor, mean and sum */
+/* planes: pixels without their mean, of a block of rows with factor, mean and sum */
 EVERY_X86_64
-void centre(const uint8_t *pixels, size_t stride, const double *affine, size_t n_rows,
-            size_t width, float *values, size_t values_stride)
+void centre(const uint8_t *pixels, const double *affine, size_t n_rows, size_t width,
+            float *values, size_t values_stride)
 {
-    for (; n_rows-- > 0; values += values_stride, pixels += stride, affine += 3) {
+    for (; n_rows-- > 0; values += values_stride, pixels += BLOCK, affine += 3) {
         const float mean = (float)affine[1];
-        fetch(pixels + stride, width);
+        fetch(pixels + BLOCK, width);
         for (size_t j = 0; j < width; j++)
             values[j] = (float)pixels[j] - mean;
     }
 }
 
-/* planes: the product of a row with pixels, exact but for the sum over blocks */
-static inline double multiply_planes(const int16_t *high, const uint8_t *low, const double *units,
-                                     size_t n_rows, const int16_t *pixels, size_t stride)
+/* planes: add products of ROWS rows of a block, or less, and pixels; exact within the block */
+static inline void multiply_planes(const int16_t *high, const uint8_t *low, const double *units,
+                                   size_t n_rows, const int16_t *pixels, double *products)
 {
-    double product = 0;
-    for (size_t start = 0; start < stride; start += BLOCK, units += n_rows) {
-        const size_t stop = stride - start < BLOCK ? stride : start + BLOCK;
-        int64_t of_block = 0;
-        for (size_t from = start; from < stop; from += GROUP) {
+    int64_t sums[ROWS] = {0};
+    for (size_t from = 0; from < BLOCK; from += GROUP)
+        for (size_t i = 0; i < n_rows; i++) {
+            const int16_t *const h = high + i * BLOCK + from;
+            const uint8_t *const l = low + i * BLOCK + from;
             int32_t of_high = 0, of_low = 0;
-            fetch(high + from + AHEAD, GROUP * sizeof *high);
-            fetch(low + from + AHEAD, GROUP);
-            for (size_t j = from; j < from + GROUP; j++)
-                of_high += high[j] * pixels[j];
-            for (size_t j = from; j < from + GROUP; j++)
-                of_low += (int16_t)low[j] * pixels[j];
-            of_block += (int64_t)of_high * 256 + of_low;
+            fetch(h + ROWS * BLOCK, GROUP * sizeof *h);
+            fetch(l + ROWS * BLOCK, GROUP);
+            for (size_t j = 0; j < GROUP; j++)
+                of_high += h[j] * pixels[from + j];
+            for (size_t j = 0; j < GROUP; j++)
+                of_low += (int16_t)l[j] * pixels[from + j];
+            sums[i] += (int64_t)of_high * 256 + of_low;
         }
-        product += *units * (double)of_block;
-    }
-    return product;
+    for (size_t i = 0; i < n_rows; i++)
+        products[i] += units[i] * (double)sums[i];
 }
 
-/* pixels: the product of two rows, exact */
-static inline double multiply_pixels(const uint8_t *row, const int16_t *pixels, size_t stride)
+/* pixels: the product of two rows of a block, exact */
+static inline double multiply_pixels(const uint8_t *row, const int16_t *pixels)
 {
-    int64_t product = 0;
-    for (size_t from = 0; from < stride; from += GROUP) {
-        int32_t of_group = 0;
-        fetch(row + from + AHEAD, GROUP);
-        for (size_t j = from; j < from + GROUP; j++)
-            of_group += (int16_t)row[j] * pixels[j];
-        product += of_group;
-    }
+    int32_t product = 0;
+    fetch(row + BLOCK, BLOCK);
+    for (size_t j = 0; j < BLOCK; j++)
+        product += (int16_t)row[j] * pixels[j];
     return (double)product;
 }
 
 /*
  * planes: products of an input with the atoms and with kept inputs, all of these affine in pixels:
- * factor (pixel - mean). `kept_affine` holds factor, mean and sum of the pixels of each kept one;
- * rows and `work` end with zeros.
+ * factor (pixel - mean). `kept` has `room` rows, of which n_kept are in use; `kept_affine` holds
+ * factor, mean and sum of the pixels of each.
  */
 EVERY_X86_64
-void project(const int16_t *high, const uint8_t *low, size_t stride, const double *units,
-             const double *sums, size_t n_atoms, const uint8_t *kept, const double *kept_affine,
+void project(const int16_t *high, const uint8_t *low, const double *units, const double *sums,
+             const uint8_t *kept, const double *kept_affine, size_t n_atoms, size_t room,
              size_t n_kept, const uint8_t *pixels, size_t n, double factor, double mean, double sum,
-             int16_t *work, double *products)
+             double *products)
 {
-    for (size_t j = 0; j < n; j++)
-        work[j] = pixels[j];
-    for (size_t i = 0; i < n_atoms; i++)
-        *products++ = factor * (multiply_planes(
-            high + i * stride, low + i * stride, units + i, n_atoms, work, stride)
-            - mean * sums[i]);
-    for (size_t k = 0; k < n_kept; k++, kept_affine += 3)
-        *products++ = factor * kept_affine[0] * (
-            multiply_pixels(kept + k * stride, work, stride)
-            - mean * kept_affine[2] - kept_affine[1] * sum + mean * kept_affine[1] * n);
+    for (size_t i = 0; i < n_atoms + n_kept; i++)
+        products[i] = 0;
+    for (size_t start = 0; start < n; start += BLOCK, kept += room * BLOCK) {
+        const size_t width = n - start < BLOCK ? n - start : BLOCK;
+        int16_t block[BLOCK] = {0};
+        for (size_t j = 0; j < width; j++)
+            block[j] = pixels[start + j];
+        for (size_t i = 0, n_rows; i < n_atoms; i += n_rows) {
+            n_rows = n_atoms - i < ROWS ? n_atoms - i : ROWS;
+            multiply_planes(high, low, units, n_rows, block, products + i);
+            high += n_rows * BLOCK, low += n_rows * BLOCK, units += n_rows;
+        }
+        for (size_t k = 0; k < n_kept; k++)
+            products[n_atoms + k] += multiply_pixels(kept + k * BLOCK, block);
+    }
+    for (size_t i = 0; i < n_atoms; i++, products++)
+        *products = factor * (*products - mean * sums[i]);
+    for (size_t k = 0; k < n_kept; k++, products++, kept_affine += 3)
+        *products = factor * kept_affine[0] * (
+            *products - mean * kept_affine[2] - kept_affine[1] * sum
+            + mean * kept_affine[1] * n);
 }
 
 /* preprocessing: the sum of pixels and that of their squares */

@@ -24,11 +24,11 @@ def _load() -> CDLL | None:
         if c_uint32.in_dll(library, 'source_crc').value != crc32(source):
             return None
         for function, arguments in (
-                (library.split, (array, size, size, array, array, size, array, array)),
-                (library.join, (array, array, size, array, size, size, array, size)),
-                (library.centre, (array, size, array, size, size, array, size)),
-                (library.project, (array, array, size, array, array, size, array, array, size,
-                                   array, size, number, number, number, array, array)),
+                (library.split, (array, size, size, array, array, array, array)),
+                (library.join, (array, array, array, size, size, array, size)),
+                (library.centre, (array, array, size, size, array, size)),
+                (library.project, (array, array, array, array, array, array, size, size, size,
+                                   array, size, number, number, number, array)),
                 (library.sum_pixels, (array, size, array)),
                 (library.infer, (array, size, array, size, array, size, number, number, size,
                                  array, array, array)),
@@ -58,31 +58,38 @@ def disabled() -> Iterator[None]:
 
 def split(values: np.ndarray, high: np.ndarray, low: np.ndarray, units: np.ndarray,
           sums: np.ndarray) -> None:
-    """Write values (n_rows, width), float32, to the first columns of two planes."""
+    """Write values (n_rows, width), float32, to the first columns of a block of two planes."""
     LIBRARY.split(values.ctypes.data, *values.shape, high.ctypes.data, low.ctypes.data,
-                  low.strides[0], units.ctypes.data, sums.ctypes.data)
+                  units.ctypes.data, sums.ctypes.data)
 
 
 def join(high: np.ndarray, low: np.ndarray, units: np.ndarray, values: np.ndarray) -> None:
-    """Write what the first columns of two planes hold to values (n_rows, width), float32."""
-    LIBRARY.join(high.ctypes.data, low.ctypes.data, low.strides[0], units.ctypes.data,
-                 *values.shape, values.ctypes.data, values.strides[0] // values.itemsize)
+    """Write the first columns of a block of two planes to values (n_rows, width), float32."""
+    LIBRARY.join(high.ctypes.data, low.ctypes.data, units.ctypes.data, *values.shape,
+                 values.ctypes.data, values.strides[0] // values.itemsize)
 
 
 def centre(pixels: np.ndarray, affine: np.ndarray, values: np.ndarray) -> None:
-    """Write the first columns of pixels, each row without its mean, to values (n_rows, width)."""
-    LIBRARY.centre(pixels.ctypes.data, pixels.strides[0], affine.ctypes.data, *values.shape,
-                   values.ctypes.data, values.strides[0] // values.itemsize)
+    """Write the first columns of a block, its rows without their mean, to values."""
+    LIBRARY.centre(pixels.ctypes.data, affine.ctypes.data, *values.shape, values.ctypes.data,
+                   values.strides[0] // values.itemsize)
 
 
-def project(high: np.ndarray, low: np.ndarray, units: np.ndarray, sums: np.ndarray,
-            kept: np.ndarray, kept_affine: np.ndarray, pixels: np.ndarray,
-            affine: tuple[float, float, float], work: np.ndarray, products: np.ndarray) -> None:
-    """Write products (n_atoms + n_kept,), float64, of an input with atoms and kept inputs."""
-    LIBRARY.project(
-        high.ctypes.data, low.ctypes.data, len(work), units.ctypes.data, sums.ctypes.data,
-        len(sums), kept.ctypes.data, kept_affine.ctypes.data, len(products) - len(sums),
-        pixels.ctypes.data, len(pixels), *affine, work.ctypes.data, products.ctypes.data)
+def addresses(*arrays: np.ndarray) -> list[int]:
+    """Return where arrays lie that the caller holds; asked for every frame, it takes long."""
+    return [array.ctypes.data for array in arrays]
+
+
+def project(held: list[int], n_atoms: int, room: int, pixels: np.ndarray,
+            affine: tuple[float, float, float], products: np.ndarray) -> None:
+    """
+    Write products (n_atoms + n_kept,), float64, of an input with atoms and kept inputs.
+
+    `held` are the addresses of two planes, their units, the sums of their rows, the kept inputs
+    and what these are affine by.
+    """
+    LIBRARY.project(*held, n_atoms, room, len(products) - n_atoms, pixels.ctypes.data,
+                    len(pixels), *affine, products.ctypes.data)
 
 
 def sum_pixels(pixels: np.ndarray) -> tuple[float, float]:

@@ -42,7 +42,7 @@ class Projection:
     @property
     def room(self) -> int:
         """Return how many more inputs can be kept."""
-        return len(self._kept) - self.n_kept
+        return self._kept.shape[-2] - self.n_kept
 
     def forget(self) -> None:
         """Forget all inputs kept."""
