@@ -280,12 +280,16 @@ static inline double sign_above(double x, double threshold)
     return x > threshold ? 1 : x < -threshold ? -1 : 0;
 }
 
-/* sparse_coding: the exact code by active sets; returns whether it was found */
+/*
+ * sparse_coding: the exact code by active sets, the first entries of `work`, which is of
+ * m (m + 4); returns whether it was found
+ */
 EVERY_X86_64
 int active_set(const double *inverse, const double *b, size_t m, double lambda_1, double weight,
-               size_t max_sets, double *code, double *work)
+               size_t max_sets, double *work)
 {
-    double *signs = work, *right = work + m, *q = work + 2 * m, *equations = work + 3 * m;
+    double *code = work, *signs = work + m, *right = work + 2 * m, *q = work + 3 * m;
+    double *equations = work + 4 * m;
     multiply(inverse, m, b, code);
     for (size_t j = 0; j < m; j++)
         signs[j] = sign_above(code[j], 0);

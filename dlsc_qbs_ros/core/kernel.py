@@ -34,7 +34,7 @@ def _load() -> CDLL | None:
                                  array, array, array)),
                 (library.sparse_codes, (array, size, array, size, c_float, c_float, size, array,
                                         array, array)),
-                (library.active_set, (array, array, size, number, number, size, array, array))):
+                (library.active_set, (array, array, size, number, number, size, array))):
             function.argtypes, function.restype = arguments, None
     except (OSError, ValueError):  # not there, of another machine, or of before there was a sum
         return None
@@ -127,7 +127,7 @@ def active_set(inverse: np.ndarray, b: np.ndarray, lambda_1: float, weight: floa
                max_sets: int) -> np.ndarray | None:
     """Return the code (m,), float64, of b (m,), or None."""
     m = len(b)
-    code, work = np.empty(m), np.empty(m * (m + 3))
+    work = np.empty(m * (m + 4))
     is_found = LIBRARY.active_set(inverse.ctypes.data, b.ctypes.data, m, lambda_1, weight,
-                                  max_sets, code.ctypes.data, work.ctypes.data)
-    return code if is_found else None
+                                  max_sets, work.ctypes.data)
+    return work[:m] if is_found else None
