@@ -13,6 +13,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from .diagnostics import ERROR, OK, publish_diagnostics
 from .logging import forward_logging
 from .parameters import NodeParameters
+from .stale_ports import stale_ports_avoided
 from ..config import Config
 from ..errors import DlscQbsError
 
@@ -33,7 +34,8 @@ class ManagedNode(LifecycleNode):
     """
 
     def __init__(self, name: str, sections: tuple[str, ...], **options):
-        super().__init__(name, **options)
+        with stale_ports_avoided():  # for the first node makes the process's participant
+            super().__init__(name, **options)
         forward_logging(self)
         self.declare_parameter('autostart', True, ParameterDescriptor(
             description='configure and activate as soon as the node is there', read_only=True))
