@@ -39,6 +39,7 @@ from rclpy.qos import QoSProfile
 TOPICS = ('/camera/image_raw', '/odom')
 NODES = ('encoder', 'ratslam', 'recorder')
 AUTOSAVE_S = 1.0
+PROFILE = Path(__file__).parents[1] / 'config' / 'fastdds_restart.xml'
 MAX_RATIO = 1.2
 
 
@@ -58,7 +59,8 @@ class Nodes:
         with open(self._folder / f'{name}.log', 'ab') as log:
             return subprocess.Popen(
                 [sys.executable, '-m', f'dlsc_qbs_ros.nodes.{name}_node', '--ros-args',
-                 *self._arguments[name]], cwd=self._folder, stdout=log, stderr=log)
+                 *self._arguments[name]], cwd=self._folder, stdout=log, stderr=log,
+                env={'FASTRTPS_DEFAULT_PROFILES_FILE': str(PROFILE), **os.environ})
 
     def kill(self, name: str) -> None:
         """End a node by SIGKILL and start it again."""

@@ -1,9 +1,12 @@
 """The three nodes on live topics: encoder, ratslam and recorder."""
 
+import os
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = (
     ('config', '', 'YAML profile of parameters that override the defaults'),
@@ -19,6 +22,9 @@ ARGUMENTS = (
 # A recorder that ended before the disk was full would begin to fill it again.
 RESPAWNED = ('encoder', 'ratslam')
 RESPAWN_DELAY_S = 0.5
+# Fast DDS's settings, where the user names none: a node started again hears the others at once.
+PROFILES_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+PROFILES = ('config', 'fastdds_restart.xml')
 # Where an argument is given, what parameters it sets.
 PARAMETERS = {
     'mavlink': lambda address: {'odometry.source': 'mavlink', 'mavlink.connection': address},
@@ -37,10 +43,12 @@ def start_nodes(context):
         if given(name):
             overrides.update(parameters_of(given(name)))
     parameters = [given('config')] if given('config') else []
+    environment = {} if PROFILES_VARIABLE in os.environ else {
+        PROFILES_VARIABLE: PathJoinSubstitution([FindPackageShare('dlsc_qbs_ros'), *PROFILES])}
     return [
         Node(
             package='dlsc_qbs_ros', executable=name, name=name, output='screen',
-            namespace=LaunchConfiguration('namespace'),
+            namespace=LaunchConfiguration('namespace'), additional_env=environment,
             respawn=name in RESPAWNED and given('respawn').lower() == 'true',
             respawn_delay=RESPAWN_DELAY_S,
             parameters=[*parameters, overrides],

@@ -93,6 +93,13 @@ def test_fast_dds_profile_gives_images_room_in_shared_memory():
         'segment_size', 'maxMessageSize')] == [32 * 2**20, 4 * 2**20]
 
 
+def test_fast_dds_announces_a_process_from_another_thread():
+    space = '{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}'
+    for path in (ROOT / 'config').glob('fastdds_*.xml'):
+        controller = ElementTree.parse(path).find(f'.//{space}throughputController')
+        assert [int(value.text) for value in controller] == [2_000_000_000, 1]
+
+
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
 def test_a_launch_file_describes_itself(path):
     namespace = {'__name__': 'launch_file'}
