@@ -21,7 +21,7 @@ ARGUMENTS = (
 )
 # A recorder that ended before the disk was full would begin to fill it again.
 RESPAWNED = ('encoder', 'ratslam')
-RESPAWN_DELAY_S = 0.5
+RESPAWN_DELAY_S = 0.2
 # Fast DDS's settings, where the user names none: a node started again hears the others at once.
 PROFILES_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 PROFILES = ('config', 'fastdds_restart.xml')
