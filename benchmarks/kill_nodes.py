@@ -3,7 +3,9 @@ A flight through the three live nodes, of which some are killed by SIGKILL and r
 
 Plays the camera and odometry of a simulated flight in real time, waiting for nobody, once without
 a disturbance and once with kills at random moments of random nodes. The ratslam node saves its
-map and comes back in it. Prints MAE_L of the poses that went out, MAE_M of the map file that was
+map and comes back in it. All use config/fastdds_shared_memory.xml: in the little shared memory
+that a camera has by default, images on their way to a killed encoder leave no room for others for
+15 s and longer. Prints MAE_L of the poses that went out, MAE_M of the map file that was
 left, and where poses were missing; exits 1 when the map can't be gone on in or MAE_L is more than
 20 % above that of the undisturbed flight.
 """
@@ -39,7 +41,7 @@ from rclpy.qos import QoSProfile
 TOPICS = ('/camera/image_raw', '/odom')
 NODES = ('encoder', 'ratslam', 'recorder')
 AUTOSAVE_S = 1.0
-PROFILE = Path(__file__).parents[1] / 'config' / 'fastdds_restart.xml'
+PROFILE = Path(__file__).parents[1] / 'config' / 'fastdds_shared_memory.xml'
 MAX_RATIO = 1.2
 
 
@@ -59,8 +61,7 @@ class Nodes:
         with open(self._folder / f'{name}.log', 'ab') as log:
             return subprocess.Popen(
                 [sys.executable, '-m', f'dlsc_qbs_ros.nodes.{name}_node', '--ros-args',
-                 *self._arguments[name]], cwd=self._folder, stdout=log, stderr=log,
-                env={'FASTRTPS_DEFAULT_PROFILES_FILE': str(PROFILE), **os.environ})
+                 *self._arguments[name]], cwd=self._folder, stdout=log, stderr=log)
 
     def kill(self, name: str) -> None:
         """End a node by SIGKILL and start it again."""
@@ -153,7 +154,7 @@ def main() -> int:
     rng = np.random.default_rng(args.seed)
     kills = [(time_s, str(rng.choice(NODES)))
              for time_s in np.sort(rng.uniform(2.0, seconds - 2.0, args.kills)).tolist()]
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(PROFILE))
     rclpy.init()
     errors_m = []
     for name, its_kills in (('undisturbed', []), (f'{args.kills} kills', kills)):
