@@ -55,10 +55,6 @@ class Process:
                 env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths),
                      'ROS_LOG_DIR': str(directory)})
 
-    @property
-    def pid(self):
-        return self._popen.pid
-
     def text(self):
         return self._log.read_text()
 
