@@ -7,8 +7,9 @@ import numpy as np
 from .planes import BLOCK
 from .projection import Projection
 
-# Columns of a new snapshot that are made per frame: an eighth of all at the paper's size.
-COLUMNS_PER_FRAME = 6 * BLOCK
+# Columns of a new snapshot that are made per frame: a sixth of all at the paper's size. What is
+# learned from meanwhile stays kept beside the new snapshot, at a price on every frame.
+COLUMNS_PER_FRAME = 8 * BLOCK
 
 
 class Relation:
