@@ -5,7 +5,8 @@ from fcntl import flock, LOCK_NB, LOCK_SH
 from pathlib import Path
 from typing import Iterator
 
-LOCKS = ('/dev/shm', 'fastrtps_port*_el')  # each locked by who receives there
+SHARED_MEMORY = Path('/dev/shm')
+LOCKS = 'fastrtps_port*_el'  # each locked by who receives there
 
 
 @contextmanager
@@ -19,7 +20,7 @@ def stale_ports_avoided() -> Iterator[None]:
     much longer. A port that is locked is taken for in use, and left alone.
     """
     with ExitStack() as held:
-        for path in Path(LOCKS[0]).glob(LOCKS[1]):
+        for path in SHARED_MEMORY.glob(LOCKS):
             try:
                 lock = held.enter_context(path.open())
                 flock(lock, LOCK_SH | LOCK_NB)  # shared: others may be starting too

@@ -13,7 +13,6 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PROFILES = sorted((ROOT / 'config').glob('fastdds_*.xml'))
 
-
 MADE_MEANWHILE = """
 from contextlib import contextmanager
 from pathlib import Path
@@ -49,7 +48,7 @@ def is_taken(lock):
 
 
 def test_ports_of_killed_processes_are_in_use_meanwhile_for_all_who_start(tmp_path, monkeypatch):
-    monkeypatch.setattr(stale_ports, 'LOCKS', (tmp_path, 'fastrtps_port*_el'))
+    monkeypatch.setattr(stale_ports, 'SHARED_MEMORY', tmp_path)
     stale, used, other = (tmp_path / name for name in (
         'fastrtps_port7411_el', 'fastrtps_port7413_el', 'fastrtps_port7411'))
     for path in (stale, used, other):
@@ -66,7 +65,7 @@ def test_ports_of_killed_processes_are_in_use_meanwhile_for_all_who_start(tmp_pa
 
 
 def test_no_shared_memory_is_no_harm(tmp_path, monkeypatch):
-    monkeypatch.setattr(stale_ports, 'LOCKS', (tmp_path / 'none', 'fastrtps_port*_el'))
+    monkeypatch.setattr(stale_ports, 'SHARED_MEMORY', tmp_path / 'none')
     with stale_ports_avoided():
         pass
 
