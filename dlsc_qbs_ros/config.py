@@ -191,8 +191,8 @@ class RatSlamConfig(Section):
         'the map is solved; published: RatSLAM as published, single views and its relaxation',
         choices=('sequences', 'published'))
     threshold: float = parameter(
-        0.8, 'similarity mu from which a run of views is an old place', bounds=(-1.0, 1.0),
-        live=True)
+        0.8, 'similarity mu from which a run of views is an old place; one of four needs more',
+        bounds=(-1.0, 1.0), live=True)
     tracking_threshold: float = parameter(
         0.6, 'the same while the old place is where odometry expects it', bounds=(-1.0, 1.0),
         live=True)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import Config
+from dlsc_qbs_ros.core.sequence import Scores
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 from dlsc_qbs_ros.pipeline.journey import Journey
 from dlsc_qbs_ros.pipeline.matcher import Match, Matcher
@@ -16,13 +17,14 @@ N = 40
 SURE_M, UNSURE_M = 0.2, 5.0
 
 
-def match(here, sigma_m, likeness, n_recent=0, n_apart=0, config=CONFIG):
+def match(here, sigma_m, likeness, n_recent=0, n_apart=0, config=CONFIG, runs=None):
     """
     Return what is matched of places a metre apart.
 
     The last `n_recent` of them were just flown by, the first `n_apart` are of another piece of
     the map. The robot is believed to be at the place `here`, which is known by `sigma_m`;
-    `likeness` is that of some places, and 0.3 for all others.
+    `likeness` is that of some places, and 0.3 for all others; `runs` are scores besides, of the
+    last view or of runs, that are otherwise.
     """
     journey = Journey(config)
     matcher = Matcher(config, journey)
@@ -38,10 +40,16 @@ def match(here, sigma_m, likeness, n_recent=0, n_apart=0, config=CONFIG):
         journey.move(Pose2(0.0, 100.0, 0.0), 100.0)
     journey.put(here, IDENTITY)
     journey.drift.anchor(sigma_m, 0.1)
-    score = np.full(N, 0.3)
-    score[list(likeness)] = list(likeness.values())
-    matcher.score(score)
-    return matcher.match(score)
+    score = row(likeness)
+    scores = Scores(score, score, score, np.ones(N, bool))
+    return matcher.match(scores._replace(**{
+        name: row(values) for name, values in (runs or {}).items()}))
+
+
+def row(likeness):
+    values = np.full(N, 0.3)
+    values[list(likeness)] = list(likeness.values())
+    return values
 
 
 def test_where_odometry_expects_it_a_place_may_be_less_alike():
@@ -81,6 +89,54 @@ def test_a_place_outdoes_none_by_less_than_it_is_more_alike():
 def test_a_place_that_odometry_does_not_expect_must_be_the_only_one_in_reach(
         rival, likeness, expected):
     assert match(10, UNSURE_M, {8: 0.85, rival: likeness}) == expected
+
+
+def test_a_run_ends_where_the_last_view_is_no_more_of_it():
+    """As on the way out of a crossing, where the run as a whole goes on being alike."""
+    assert match(10, SURE_M, {10: 0.75}, runs={'last': {10: 0.61}}) == Match(10, False)
+    assert match(10, SURE_M, {10: 0.75}, runs={'last': {10: 0.59}}) is None
+
+
+class TestShortRun:
+    """Where paths meet for a moment, a run is too short to be alike as a whole."""
+
+    LONG = {8: 0.5}
+    CONFIG = CONFIG.override({
+        'ratslam.sequence_length': 14, 'ratslam.keyframe_distance_m': 0.5})
+
+    @pytest.mark.parametrize('likeness, expected', [(0.86, Match(8, True)), (0.84, None)])
+    def test_it_shows_a_place_if_it_is_more_alike_than_a_whole_one_must_be(
+            self, likeness, expected):
+        assert match(10, UNSURE_M, {8: likeness}, runs={'long': self.LONG}) == expected
+
+    def test_and_odometry_allows_that(self):
+        assert match(10, SURE_M, {30: 0.9}, runs={'long': self.LONG}) is None
+
+    @pytest.mark.parametrize('rival, likeness, expected', [
+        (23, 0.81, None), (23, 0.79, Match(8, True)), (9, 0.85, Match(8, True)),
+        (30, 0.89, Match(8, True))], ids=['alike', 'less_alike', 'within_the_run', 'out_of_reach'])
+    def test_and_no_other_place_in_reach_is_about_as_alike(self, rival, likeness, expected):
+        assert match(10, UNSURE_M, {8: 0.9, rival: likeness}, runs={'long': self.LONG},
+                     config=self.CONFIG) == expected
+
+    def test_one_that_is_out_of_reach_is_none_whatever_is_somewhat_alike_in_it(self):
+        assert match(10, SURE_M, {10: 0.82, 30: 0.9}, runs={'long': self.LONG}) is None
+        assert match(30, SURE_M, {0: 0.9}, runs={'long': self.LONG}) is None
+
+    @pytest.mark.parametrize('long', [{10: 0.7, 30: 0.95}, {10: 0.9, 23: 0.88}],
+                             ids=['outdone', 'ambiguous'])
+    def test_it_makes_no_doubtful_longer_one_certain(self, long):
+        assert match(10, UNSURE_M if 23 in long else SURE_M, {10: 0.9},
+                     runs={'long': long, 'last': long}, config=self.CONFIG) is None
+
+    def test_it_shows_nothing_where_odometry_makes_up_for_nothing(self):
+        """So that no likeness would be more than enough, and no rival about as alike."""
+        config = self.CONFIG.override({'ratslam.tracking_threshold': 0.8})
+        assert match(10, UNSURE_M, {8: 0.9}, runs={'long': self.LONG}, config=config) is None
+
+    def test_a_longer_run_comes_first(self):
+        assert match(10, SURE_M, {11: 0.9}, runs={'long': {10: 0.7}, 'last': {10: 0.7}}) == Match(
+            10, False)
 
 
 def test_a_place_of_the_lost_stretch_may_lie_off_by_the_odometry_that_leads_to_it():

@@ -8,9 +8,10 @@ from dlsc_qbs_ros.core.sequence import SequenceScore
 
 def naive_score(looks, stations, length, shortest):
     """
-    Return scores and whether runs are whole, by the definition.
+    Return the scores of runs of up to so many views and whether they are, by the definition.
 
-    `looks` are the station, the likenesses and the slack of the views, the newest first.
+    `looks` are the station, the likenesses and the slack of the views, the newest first, as
+    many as such a run reaches back over.
     """
     scores, is_whole = [], []
     for here in stations:
@@ -36,7 +37,7 @@ def test_the_score_is_the_triple_loop(length, slack, growth, holes):
     rng = np.random.default_rng(length)
     all_stations = np.cumsum(rng.choice([1, 1, 1, 2, 5], 40) if holes else np.ones(40, int))
     all_stations -= all_stations[0]
-    shortest = min(length, 2) if holes else length
+    shortest = min(length, 2) if holes else max(length - 2, 1)
     score, looks, station = SequenceScore(length, slack, shortest), [], 0
     for k in range(20):
         stations = all_stations[:7 + growth * k]
@@ -49,13 +50,16 @@ def test_the_score_is_the_triple_loop(length, slack, growth, holes):
         likenesses = rng.uniform(-1.0, 1.0, len(stations))
         looks = [(station, likenesses, 0), *looks][:score.REACH * length]
         result = score.update(likenesses, stations if holes else None)
-        expected, is_whole = naive_score(looks, stations, length, shortest)
+        long, is_whole = naive_score(looks, stations, length, shortest)
+        short, _ = naive_score(looks[:score.REACH * shortest], stations, shortest, shortest)
         looks[0] = station, likenesses, slack  # the newest view is compared without slack
         if k + 1 < shortest:
             assert result is None
         else:
-            np.testing.assert_allclose(result, expected)
-            np.testing.assert_array_equal(score.is_whole, is_whole)
+            np.testing.assert_array_equal(result.last, likenesses)
+            np.testing.assert_allclose(result.short, short)
+            np.testing.assert_allclose(result.long, long)
+            np.testing.assert_array_equal(result.is_whole, is_whole)
 
 
 def without(stations, first, last):
@@ -67,16 +71,16 @@ def test_a_second_pass_is_known_where_the_first_one_lacks_views():
     score, stations = SequenceScore(6, slack=0), without(np.arange(30), 10, 14)
     for k in range(17):
         result = score.update((stations == k).astype(float), stations)
-    assert result[list(stations).index(16)] == 1.0
-    assert score.is_whole[list(stations).index(16)]
+    assert result.long[list(stations).index(16)] == 1.0
+    assert result.is_whole[list(stations).index(16)]
 
 
 def test_a_run_reaches_over_no_hole_that_is_too_wide():
     score, stations = SequenceScore(6, slack=0, shortest=2), without(np.arange(30), 10, 22)
     for k in range(25):
         result = score.update((stations == k).astype(float), stations)
-    assert result[list(stations).index(24)] == 1.0
-    assert not score.is_whole[list(stations).index(24)]
+    assert result.long[list(stations).index(24)] == 1.0
+    assert not result.is_whole[list(stations).index(24)]
 
 
 @pytest.mark.parametrize('passed', [4, 5, 6, 7])
@@ -86,7 +90,7 @@ def test_views_that_lack_are_passed_over_though_nobody_counted_them(passed):
         if k == 10 + passed:
             score.skip(5, stations)
         result = score.update(np.eye(30)[k])
-    assert np.argmax(result) == 12 + passed and result[12 + passed] == 1.0
+    assert np.argmax(result.long) == 12 + passed and result.long[12 + passed] == 1.0
 
 
 @pytest.mark.parametrize('n_skipped', [1, 3])
@@ -100,17 +104,16 @@ def test_a_row_of_views_goes_on_from_what_was_kept_of_it(n_skipped):
     kept.restore(score.state(11), stations[:11])
     for _ in range(8):
         row = rng.uniform(size=12).astype(np.float32)
-        np.testing.assert_array_equal(
-            kept.update(row, stations), score.update(row, stations))
-        np.testing.assert_array_equal(kept.is_whole, score.is_whole)
+        for one, other in zip(kept.update(row, stations), score.update(row, stations)):
+            np.testing.assert_array_equal(one, other)
 
 
 def test_a_second_pass_in_step_scores_1_at_the_end_of_its_run():
     score = SequenceScore(4, slack=0)
     for k in range(10):
         result = score.update(np.eye(10)[k])
-    assert result[9] == 1.0
-    assert (result[:9] < 0.3).all()
+    assert result.long[9] == 1.0
+    assert (result.long[:9] < 0.3).all()
 
 
 @pytest.mark.parametrize('cells', [(3, 4, 6), (3, 5, 6)])
@@ -118,28 +121,28 @@ def test_slack_forgives_one_cell_out_of_step(cells):
     score = SequenceScore(3, slack=1)
     for cell in cells:
         result = score.update(np.eye(10)[cell])
-    assert result[6] == 1.0
+    assert result.long[6] == 1.0
 
 
 def test_without_slack_a_run_out_of_step_scores_less():
     score = SequenceScore(3, slack=0)
     for cell in (3, 4, 6):
         result = score.update(np.eye(10)[cell])
-    assert result[6] < 0.7
+    assert result.long[6] < 0.7
 
 
 def test_a_run_that_would_start_before_the_first_cell_is_marked_down():
     score = SequenceScore(3, slack=0)
     for _ in range(3):
         result = score.update(np.ones(5))
-    np.testing.assert_allclose(result, [-1 / 3, 1 / 3, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(result.long, [-1 / 3, 1 / 3, 1.0, 1.0, 1.0])
 
 
 def test_a_view_from_before_the_first_cell_is_like_none():
     score = SequenceScore(3, slack=1)
     for n_cells in range(3):
         result = score.update(np.ones(n_cells))
-    np.testing.assert_allclose(result, [1 / 3, 1 / 3])
+    np.testing.assert_allclose(result.long, [1 / 3, 1 / 3])
 
 
 def test_a_view_that_does_not_continue_starts_a_run_of_its_own():
@@ -153,12 +156,20 @@ def test_a_view_that_does_not_continue_starts_a_run_of_its_own():
 def test_a_run_that_was_cut_short_has_the_mean_of_what_there_is():
     score, rows = SequenceScore(4, slack=0, shortest=2), np.eye(5) + 0.2
     assert score.update(rows[0]) is None
-    np.testing.assert_allclose(score.update(rows[1]), [-0.4, 1.2, 0.2, 0.2, 0.2])
-    assert not score.is_whole.any()
+    result = score.update(rows[1])
+    np.testing.assert_allclose(result.long, [-0.4, 1.2, 0.2, 0.2, 0.2])
+    assert not result.is_whole.any()
     for row in rows[2:4]:
         result = score.update(row)
-    assert score.is_whole.all()
-    assert result[3] == pytest.approx(1.2)
+    assert result.is_whole.all()
+    assert result.long[3] == pytest.approx(1.2)
+
+
+def test_a_short_run_tells_of_the_last_views_alone():
+    score = SequenceScore(4, slack=0, shortest=2)
+    for cell in (9, 9, 2, 3):
+        result = score.update(np.eye(10)[cell])
+    assert result.last[3] == result.short[3] == 1.0 and result.long[3] == 0.5
 
 
 def test_similarities_are_left_as_they_were():

@@ -9,12 +9,39 @@ import numpy as np
 
 
 class Look(NamedTuple):
-    """One of the last views: its station, its likeness to the cells, and the best around each."""
+    """
+    One of the last views: its station, and its likeness to the cells.
+
+    `best` is the best around each station, 0 where no cell is, and `is_seen` 1 where one is.
+    """
 
     station: int
     likeness: np.ndarray
     slack: int
     best: np.ndarray
+    is_seen: np.ndarray
+
+
+class Scores(NamedTuple):
+    """
+    How alike the last views and each view cell are, arrays of shape (n_cells,).
+
+    Attributes
+    ----------
+    last : ndarray
+        The similarities of the last view by itself.
+    short, long : ndarray
+        The scores of the runs of the fewest and of the most views that end in each cell, -1
+        where there are not even the fewest.
+    is_whole : ndarray of bool
+        Whether the long run is of as many views as make one.
+
+    """
+
+    last: np.ndarray
+    short: np.ndarray
+    long: np.ndarray
+    is_whole: np.ndarray
 
 
 class SequenceScore:
@@ -26,12 +53,6 @@ class SequenceScore:
     these distances are stations. Where views are missing, on this pass or when the cells were
     made, stations are passed without a view or have no cell. They count for nothing, and a run
     reaches back over them, by `REACH` times its length at most, to be of as many views.
-
-    Attributes
-    ----------
-    is_whole : ndarray of shape (n_cells,), bool
-        Whether the run that ends in each view cell is of as many views as make one.
-
     """
 
     REACH = 2
@@ -44,7 +65,6 @@ class SequenceScore:
         self._slack = slack
         self._looks: deque[Look] = deque(maxlen=self.REACH * length)
         self._station = 0
-        self.is_whole = np.zeros(0, bool)
 
     def state(self, n_cells: int) -> dict[str, np.ndarray]:
         """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
@@ -75,7 +95,7 @@ class SequenceScore:
              for look in self._looks], self._looks.maxlen)
 
     def update(self, similarities: np.ndarray, stations: np.ndarray | None = None
-               ) -> np.ndarray | None:
+               ) -> Scores | None:
         """
         Take in the similarities of the next view, shape (n_cells,).
 
@@ -88,43 +108,43 @@ class SequenceScore:
 
         Returns
         -------
-        ndarray of shape (n_cells,) or None
-            The score of the run that ends in each view cell, -1 where that is of less than
-            `shortest` views; None until so many came, which are `length` if left out.
+        Scores or None
+            None until as many views came as the shortest run is of.
 
         """
         stations = np.arange(len(similarities)) if stations is None else stations
         self._station += 1
         self._looks.append(self._look(self._station, similarities, self._slack, stations))
-        total, n_views = self._sum(similarities, stations)
-        self.is_whole = n_views == self._length
         if len(self._looks) < self._shortest:
             return None
-        score = total / n_views.astype(total.dtype)
-        score[n_views < self._shortest] = -1.0
-        return score
+        short, _ = self._mean(similarities, stations, self._shortest)
+        long, n_views = self._mean(similarities, stations, self._length)
+        return Scores(similarities, short, long, n_views == self._length)
 
-    def _sum(self, similarities: np.ndarray, stations: np.ndarray
-             ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sums along the runs that end in each cell, and of how many views, (n,)."""
-        total, earlier = _at_stations(similarities, stations), [*self._looks][-2::-1]
-        if len(total) == len(stations):  # no station lacks a cell, so all views count
-            earlier = earlier[:self._length - 1]
-            for look in earlier:
-                total += _behind(look, self._station - look.station, len(total))
-            return total, np.full(len(total), len(earlier) + 1)
-        n_views = np.ones(len(total), np.int16)
-        for look in earlier:
-            values = _behind(look, self._station - look.station, len(total))
-            is_used = ~np.isnan(values) & (n_views < self._length)
-            np.add(total, values, out=total, where=is_used)
-            n_views += is_used
-        return total[stations], n_views[stations]
+    def _mean(self, similarities: np.ndarray, stations: np.ndarray, length: int
+              ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the means along runs of up to so many views, and of how many they are, (n,)."""
+        total, n_views = _seen(_at_stations(similarities, stations))
+        earlier = [*self._looks][-2::-1][:self.REACH * length - 1]
+        for look in earlier[:length - 1]:
+            _add(look, self._station - look.station, total, n_views)
+        lacking = stations[n_views[stations] < length]
+        for look in earlier[length - 1:]:
+            if not len(lacking):
+                break
+            values, is_seen = _behind(look, self._station - look.station, lacking)
+            total[lacking] += values
+            n_views[lacking] += is_seen
+            lacking = lacking[n_views[lacking] < length]
+        total, n_views = total[stations], n_views[stations]
+        mean = total / n_views.astype(total.dtype)
+        mean[n_views < self._shortest] = -1.0
+        return mean, n_views
 
     def _look(self, station: int, likeness: np.ndarray, slack: int, stations: np.ndarray) -> Look:
         slack = min(slack, self._length)
         row = _at_stations(likeness, stations[:len(likeness)])
-        return Look(station, likeness, slack, _best_around(row, slack))
+        return Look(station, likeness, slack, *_seen(_best_around(row, slack)))
 
 
 def _at_stations(values: np.ndarray, stations: np.ndarray) -> np.ndarray:
@@ -147,12 +167,30 @@ def _best_around(row: np.ndarray, slack: int) -> np.ndarray:
     return np.fmax.reduce([padded[k:k + n] for k in range(2 * slack + 1)])
 
 
-def _behind(look: Look, back: int, n_stations: int) -> np.ndarray:
-    """Return what is best around the station so far back from each; -1 before the first."""
-    values = np.full(n_stations, -1.0, look.best.dtype)
+def _seen(row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a row with 0 where there is no cell, and 1 where there is one, int16."""
+    is_seen = ~np.isnan(row)
+    return np.where(is_seen, row, row.dtype.type(0)), is_seen.astype(np.int16)
+
+
+def _add(look: Look, back: int, total: np.ndarray, n_views: np.ndarray) -> None:
+    """Add to all stations what is best around the one so far back; -1 beyond the cells."""
     # `best` starts with the station `slack` before the first, and that is `back` behind.
-    best = look.best[max(look.slack - back, 0):]
-    start = max(back - look.slack, 0)
-    end = max(min(start + len(best), n_stations), start)
-    values[start:end] = best[:end - start]
-    return values
+    shift = back - look.slack
+    start = min(max(shift, 0), len(total))
+    end = max(min(shift + len(look.best), len(total)), start)
+    total[start:end] += look.best[start - shift:end - shift]
+    n_views[start:end] += look.is_seen[start - shift:end - shift]
+    for beyond in (slice(start), slice(end, None)):
+        total[beyond] -= 1.0
+        n_views[beyond] += 1
+
+
+def _behind(look: Look, back: int, stations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `_add` adds to some stations: values and whether they count, (n,)."""
+    at = stations - (back - look.slack)
+    is_beyond = (at < 0) | (at >= len(look.best))
+    at[is_beyond] = 0
+    if not len(look.best):
+        return np.full(len(at), -1.0), np.ones(len(at), np.int16)
+    return np.where(is_beyond, -1.0, look.best[at]), np.where(is_beyond, 1, look.is_seen[at])

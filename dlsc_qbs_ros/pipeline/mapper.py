@@ -16,6 +16,7 @@ from ..config import Config
 from ..core.drift import Drift
 from ..core.geometry import between, compose, invert
 from ..core.local_view import CentredCells, Cosine, Measure, ViewCells
+from ..core.sequence import Scores
 from ..core.types import IDENTITY, OdometrySample, Pose2
 
 
@@ -217,13 +218,13 @@ class Mapper:
 
     def _view_event(self, code: np.ndarray) -> None:
         """Find the view in another piece, match it to an old view cell, or make a new one."""
-        score = self._matcher.score(self.view_cells.likeness(code))
-        found = None if score is None else self._matcher.find(score)
+        scores = self._matcher.score(self.view_cells.likeness(code))
+        found = None if scores is None else self._matcher.find(scores)
         if found is not None:
             self._active_cell = int(self._matcher.view_cell.values[found])
             self.packet.place(found)
             return
-        matched = None if score is None else self._match(score)
+        matched = None if scores is None else self._match(scores)
         if matched is not None:
             self._activate(matched)
         elif self.is_mapping:
@@ -232,9 +233,9 @@ class Mapper:
         else:
             self._active_cell = None
 
-    def _match(self, score: np.ndarray) -> int | None:
+    def _match(self, scores: Scores) -> int | None:
         """Return the view cell that the views match; a jump must not contradict other matches."""
-        match = self._matcher.match(score)
+        match = self._matcher.match(scores)
         if match is None or match.is_jump and self._contradicts(match.view_cell):
             return None
         return match.view_cell

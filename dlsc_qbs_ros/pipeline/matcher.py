@@ -13,7 +13,7 @@ from .stations import Stations
 from ..config import Config
 from ..core.geometry import between, wrap_angle
 from ..core.rows import Rows
-from ..core.sequence import SequenceScore
+from ..core.sequence import Scores, SequenceScore
 from ..core.types import Pose2
 
 
@@ -35,8 +35,11 @@ class Matcher:
 
     """
 
-    # A run of views that a gap cut short may be that short for a place to be tracked by it.
+    # A run of views that a gap cut short may be that short for a place to be tracked by it. So
+    # short a run shows a place, too, where paths meet for a moment, if it is more alike than a
+    # whole one must be by this share of the leeway.
     SHORTEST_RUN = 4
+    SURENESS = 0.25
     # By this share of the leeway, a place where odometry did not expect the robot must be more
     # alike than any other in reach.
     LEAD = 0.5
@@ -94,49 +97,68 @@ class Matcher:
         self._sequence.clear()
         self._relocaliser.clear()
 
-    def score(self, likeness: np.ndarray) -> np.ndarray | None:
-        """Return how alike the last views are to the run that ends in each cell; None at first."""
+    def score(self, likeness: np.ndarray) -> Scores | None:
+        """Return how alike the last views and each cell are; None at first."""
         return self._sequence.update(likeness, self._stations.of_cells.values)
 
-    def find(self, score: np.ndarray) -> int | None:
+    def find(self, scores: Scores) -> int | None:
         """Return an experience of another piece of the map, where views alone tell of one."""
         pieces = self._pieces.of()
         is_apart = pieces != self._pieces.here
         if self._is_published or not is_apart.any():
             return None
-        of_experiences = np.where(is_apart, score[self.view_cell.values], -inf)
-        if not self._sequence.is_whole[self.view_cell.values[np.argmax(of_experiences)]]:
+        cells = self.view_cell.values
+        of_experiences = np.where(is_apart, scores.long[cells], -inf)
+        if not scores.is_whole[cells[np.argmax(of_experiences)]]:
             return None
         return self._relocaliser.find(
             of_experiences, self._map.poses, pieces, self._visits.track())
 
-    def match(self, score: np.ndarray) -> Match | None:
+    def match(self, scores: Scores) -> Match | None:
         """Return the view cell that the last run of views ends in, if odometry allows one."""
         if self._visits.place() is None:
             return None
         if self._is_published:
-            best = int(np.argmax(score))
-            return Match(best, False) if score[best] >= self._config.threshold else None
-        alike = np.flatnonzero(
-            score >= min(self._config.threshold, self._config.tracking_threshold))
-        if not len(alike):
-            return None
-        is_asked = np.zeros(len(score), bool)
-        is_asked[alike] = True
-        distance_m, is_tracking = (of_cells[alike] for of_cells in self._gate(is_asked))
-        near, far = np.where(
-            self._sequence.is_whole[alike],
-            [[self._config.tracking_threshold], [self._config.threshold]],
-            [[self._config.threshold], [inf]])
-        needed = np.where(is_tracking, near, far)
-        candidates = np.flatnonzero(np.isfinite(distance_m) & (score[alike] >= needed))
-        if not len(candidates):
-            return None
-        best = candidates[np.argmax(score[alike[candidates]])]
-        match = Match(int(alike[best]), bool(needed[best] == far[best]))
-        is_doubtful = (self._is_ambiguous(match.view_cell, score, alike[np.isfinite(distance_m)])
-                       if match.is_jump else self._is_outdone(match.view_cell, score))
+            best = int(np.argmax(scores.long))
+            return Match(best, False) if scores.long[best] >= self._config.threshold else None
+        match, is_doubtful = self._by_long_run(scores)
+        if match is None:
+            match, is_doubtful = self._by_short_run(scores.short)
         return None if is_doubtful else match
+
+    def _by_long_run(self, scores: Scores) -> tuple[Match | None, bool]:
+        """
+        Match the longest run there is, as long as the last view still belongs to it.
+
+        Return whether another place makes the match doubtful, too.
+        """
+        score, config = scores.long, self._config
+        lowest = min(config.threshold, config.tracking_threshold)
+        in_reach, is_tracked = self._gate((score >= lowest) & (scores.last >= lowest))
+        near, far = np.where(
+            scores.is_whole,
+            [[config.tracking_threshold], [config.threshold]], [[config.threshold], [inf]])
+        needed = np.where(is_tracked, near, far)
+        candidates = np.flatnonzero(in_reach & (score >= needed))
+        if not len(candidates):
+            return None, False
+        best = int(candidates[np.argmax(score[candidates])])
+        match = Match(best, bool(needed[best] == far[best]))
+        return match, (self._is_ambiguous(best, score, in_reach, self._length) if match.is_jump
+                       else self._is_outdone(best, score))
+
+    def _by_short_run(self, score: np.ndarray) -> tuple[Match | None, bool]:
+        """Match a run of few views, where it is very much alike; return what the long one does."""
+        enough = self._config.threshold + self.SURENESS * self._leeway
+        if self._leeway == 0.0 or score.max(initial=-inf) < enough:
+            return None, False
+        in_reach, _ = self._gate(score >= enough - self.LEAD * self._leeway)
+        score = np.where(in_reach, score, -inf)
+        best = int(np.argmax(score))
+        if score[best] < enough:
+            return None, False
+        n_views = min(self.SHORTEST_RUN, self._length)
+        return Match(best, True), self._is_ambiguous(best, score, in_reach, n_views)
 
     def sigmas_at(self, experience: int) -> tuple[float, float]:
         """
@@ -191,15 +213,17 @@ class Matcher:
 
     def _gate(self, is_asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the distance of those view cells, of (n_cells,), and whether they are tracked.
+        Return which of the view cells asked for, (n_cells,), are in reach, and which tracked.
 
-        The distance is that from the estimated position: infinite where not asked, and where no
-        old enough experience of the cell, in this piece of the map, lies within the drift of the
-        odometry since the last closure. A cell is tracked where odometry expects it.
+        In reach is a cell with an old enough experience, in this piece of the map, within the
+        drift of the odometry since the last closure. It is tracked where odometry expects it.
         """
+        in_reach, is_tracked = np.zeros((2, len(is_asked)), bool)
+        asked = np.flatnonzero(is_asked[self.view_cell.values])
+        if not len(asked):
+            return in_reach, is_tracked
         here = self._visits.pose()
         reach = self._config.gate_sigmas
-        asked = np.flatnonzero(is_asked[self.view_cell.values])
         sigma_m, sigma_rad = self._sigmas(asked)
         x_m, y_m, yaw_rad = self._map.poses[asked].T
         offset_m = np.hypot(x_m - here.x_m, y_m - here.y_m)
@@ -210,12 +234,11 @@ class Matcher:
             & (self._pieces.of(asked) == self._pieces.here)
             & self._is_old_enough(asked))
         # Near by chance is not tracking: odometry must be sure enough to tell.
-        is_near = allowed & (np.maximum(offset_m, sigma_m) <= self._config.tracking_distance_m)
+        is_expected = allowed & (
+            np.maximum(offset_m, sigma_m) <= self._config.tracking_distance_m)
         cells = self.view_cell.values[asked]
-        distance_m, is_tracking = np.full(len(is_asked), inf), np.zeros(len(is_asked), bool)
-        np.minimum.at(distance_m, cells[allowed], offset_m[allowed])
-        is_tracking[cells[is_near]] = True
-        return distance_m, is_tracking
+        in_reach[cells[allowed]] = is_tracked[cells[is_expected]] = True
+        return in_reach, is_tracked
 
     @property
     def _leeway(self) -> float:
@@ -231,14 +254,15 @@ class Matcher:
         """
         return len(self._old_ones(score > score[view_cell] + self._leeway)) > 0
 
-    def _is_ambiguous(self, view_cell: int, score: np.ndarray, in_reach: np.ndarray) -> bool:
+    def _is_ambiguous(self, view_cell: int, score: np.ndarray, in_reach: np.ndarray, n_views: int
+                      ) -> bool:
         """Return whether, of the view cells in reach, one of another place is about as alike."""
-        is_rival = np.zeros(len(score), bool)
-        is_rival[in_reach] = score[in_reach] > score[view_cell] - self.LEAD * self._leeway
-        x_m, y_m, _ = self._map.poses[self._old_ones(is_rival)].T
+        rivals = self._old_ones(
+            in_reach & (score > score[view_cell] - self.LEAD * self._leeway))
+        x_m, y_m, _ = self._map.poses[rivals].T
         place = self._map.pose(self.nearest_experience(view_cell))
         # Runs of views that share some are alike.
-        run_m = self._config.sequence_length * self._config.keyframe_distance_m
+        run_m = n_views * self._config.keyframe_distance_m
         return bool(np.any(np.hypot(x_m - place.x_m, y_m - place.y_m) > run_m))
 
     def _old_ones(self, is_asked: np.ndarray) -> np.ndarray:

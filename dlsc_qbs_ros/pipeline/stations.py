@@ -13,6 +13,8 @@ class Stations:
     """
     The stations of view cells, told by the odometry between the visits that made them.
 
+    Where views are missing, or older cells were met on the way, there is room for as many.
+
     Attributes
     ----------
     of_cells : Rows of int64
@@ -20,7 +22,7 @@ class Stations:
 
     """
 
-    # Views so long apart have a gap between them, if they are so many distances of a keyframe
+    # Cells so long apart have a gap between them, if they are so many distances of a keyframe
     # apart, too. How many are missing is told by the last legs between visits.
     GAP_S, GAP = 1.0, 3.0
     N_LEGS = 40
@@ -29,6 +31,7 @@ class Stations:
         self.config = config
         self._visits = visits
         self.of_cells = Rows(np.zeros(0, np.int64))
+        self._last_visit = 0  # that made a cell
 
     def restore(self, experiences: np.ndarray) -> None:
         """Go on with view cells that were made with these experiences, (n_cells,)."""
@@ -47,7 +50,8 @@ class Stations:
 
     def _after(self, station: int, experiences: np.ndarray) -> np.ndarray:
         visits = self._visits.birth.values[experiences]
-        seconds, metres = self._visits.legs(visits)
+        seconds, metres = self._visits.ways(np.append(self._last_visit, visits[:-1]), visits)
+        self._last_visit = int(visits[-1])
         steps = np.ones(len(visits), np.int64)
         for k in np.flatnonzero(self._is_gap(seconds, metres)):
             steps[k] += self._missing(float(metres[k]), int(visits[k]))
@@ -58,6 +62,7 @@ class Stations:
 
     def _missing(self, metres: float, visit: int) -> int:
         """Return how many views there would have been on the way to a visit."""
-        _, legs_m = self._visits.legs(slice(max(visit - self.N_LEGS, 0), visit))
+        last = np.arange(max(visit - self.N_LEGS, 1), visit)
+        _, legs_m = self._visits.ways(last - 1, last)
         leg_m = max(np.median([0.0, *legs_m]), self.config.keyframe_distance_m)
         return min(max(round(metres / leg_m) - 1, 0), 2 * self.config.sequence_length)

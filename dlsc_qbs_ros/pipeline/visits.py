@@ -199,17 +199,15 @@ class Visits:
         """Return the seconds and metres flown since experiences were created, (n, 2)."""
         return (self.flown_now - self.flown.values[self.birth.values[experiences]])[:, :2]
 
-    def legs(self, visits: np.ndarray | slice = ALL) -> tuple[np.ndarray, np.ndarray]:
+    def ways(self, origins: np.ndarray, visits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the seconds, and the metres as the crow flies, from the visit before to each, (n,).
+        Return the seconds, and the metres as the crow flies, from visits to others, (n,).
 
-        Nothing is known of a leg on which odometry broke: it has no length.
+        Nothing is known of a way on which odometry broke: it has no length.
         """
         flown, track = self.flown.values, self._track.values
-        visits = np.arange(len(flown))[visits]
-        before = np.maximum(visits - 1, 0)
-        seconds, _, breaks = (flown[visits] - flown[before]).T
-        metres = np.hypot(*(track[visits] - track[before])[:, :2].T)
+        seconds, _, breaks = (flown[visits] - flown[origins]).T
+        metres = np.hypot(*(track[visits] - track[origins])[:, :2].T)
         return seconds, np.where(breaks == 0.0, metres, 0.0)
 
     def along(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
