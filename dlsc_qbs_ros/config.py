@@ -126,8 +126,8 @@ class OdometryConfig(Section):
         0.03, 'deviation of the distance flown, per metre', unit='m/m', bounds=(0.0, 1.0),
         live=True)
     yaw_bias_rad_s: float = parameter(
-        0.012, 'deviation of a constant error of the yaw rate', unit='rad/s', bounds=(0.0, 1.0),
-        live=True)
+        0.012, 'deviation of a constant error of the yaw rate, before closures tell it; 0: none',
+        unit='rad/s', bounds=(0.0, 1.0), live=True)
     yaw_noise: float = parameter(
         0.03, 'deviation of the heading after one second of random walk', unit='rad/sqrt(s)',
         bounds=(0.0, 1.0), live=True)
@@ -201,8 +201,8 @@ class RatSlamConfig(Section):
     sequence_length: int = parameter(
         14, 'views in a row that are compared as one', unit='views', bounds=(1, 200))
     min_age_s: float = parameter(
-        10.0, 'age of an experience before it can be met again', unit='s', bounds=(0.0, 1e5),
-        live=True)
+        10.0, 'age of an experience, in motion, before it can be met again', unit='s',
+        bounds=(0.0, 1e5), live=True)
     min_path_m: float = parameter(
         3.0, 'path flown before an experience can be met again', unit='m', bounds=(0.0, 1e5),
         live=True)

@@ -5,7 +5,9 @@ from math import pi
 import numpy as np
 import pytest
 
-from dlsc_qbs_ros.core.consistency import Chain, contradiction, deviations, surprises
+from dlsc_qbs_ros.core.consistency import (
+    Chain, contradiction, deviations, surprises, yaw_rate_errors)
+from dlsc_qbs_ros.core.drift import straightened
 from dlsc_qbs_ros.core.geometry import between, between_rows, compose, compose_rows, wrap_angle
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
@@ -104,6 +106,14 @@ def test_each_segment_of_odometry_has_a_scale_of_its_own():
     assert fall == pytest.approx(36.0 / (0.06 + 0.04 + 2 * 0.04 * 9.0))
 
 
+def test_what_a_closure_says_of_the_yaw_rate_is_shared_with_the_match_by_their_variances():
+    """A robot that turns on the spot by 0.1 rad in each of 4 s, which it does not in truth."""
+    motions = np.tile([0.0, 0.0, 0.1], (4, 1))
+    chain = Chain(path(motions), motions, np.ones(4), np.full((4, 3), 1e-12))
+    errors = yaw_rate_errors(chain, np.array([[0, 4]]), MATCH, np.array([0.02, 0.0]))
+    assert errors == pytest.approx([0.1 * 0.32 / (0.32 + 0.01)])
+
+
 def test_closures_of_separate_stretches_do_not_touch_each_other():
     ends = np.array([[0, 2], [2, 5]])
     falls = surprises(line(5), ends, MATCH, NO_CALIBRATION, np.array([0, 1]))
@@ -120,6 +130,29 @@ def test_chi_square_is_that_of_literal_least_squares(calibration):
     ours = total(chain, ends, MATCH, np.array(calibration))
     literal = literal_chi_square(chain, ends, MATCH, np.array(calibration))
     assert ours == pytest.approx(literal, rel=1e-3)
+
+
+@pytest.mark.parametrize('bias', [-0.01, 0.012])
+def test_the_yaw_rate_errs_by_what_it_was_made_to_in_each_segment(bias):
+    """As far as noise lets that be seen; of a segment without a closure nothing is known."""
+    (first, _), (second, _) = laps(2, seed=3, bias=bias), laps(2, seed=4, bias=-0.5 * bias)
+    n = len(first.motions)
+    motions = np.vstack([first.motions, second.motions, [[1.0, 0.0, bias]] * 5])
+    segments = np.repeat([0, 1, 2], [n, n, 5])
+    variances = np.vstack([first.variances, second.variances, [[4e-4] * 3] * 5])
+    variances[[n, 2 * n]] = 1e4
+    chain = Chain(path(motions), motions, np.ones(2 * n + 5), variances, segments)
+    lap = n // 2
+    ends = np.array([[k, k + lap] for k in (*range(1, lap, 4), *range(n + 1, n + lap, 4))])
+    errors = yaw_rate_errors(chain, ends, MATCH, np.array([1e-4, 1e-4]))
+    assert errors == pytest.approx([bias, -0.5 * bias, 0.0], abs=2e-3)
+
+
+def test_without_that_error_the_path_is_what_was_flown():
+    chain, truth = laps(1, noise=1e-9, bias=0.01)
+    straight = straightened(chain.motions, np.full(len(chain.motions), 0.01))
+    np.testing.assert_allclose(path(straight)[:, :2], truth[:, :2], atol=0.3)
+    assert np.abs(chain.poses[:, :2] - truth[:, :2]).max() > 1.5
 
 
 def test_a_surprise_is_what_chi_square_falls_by_without_the_run():

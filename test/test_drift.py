@@ -1,12 +1,12 @@
 """What odometry may be wrong by, worked out by hand."""
 
-from math import inf, isinf, sqrt
+from math import inf, isinf, pi, sqrt
 
 import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import OdometryConfig
-from dlsc_qbs_ros.core.drift import Drift
+from dlsc_qbs_ros.core.drift import Drift, straightened
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
 CONFIG = OdometryConfig(translation_drift=0.03, yaw_bias_rad_s=0.01, yaw_noise=0.02)
@@ -79,3 +79,19 @@ def test_what_it_were_after_more_odometry_is_what_more_odometry_makes_it():
                                                     longer.yaw_sigma_rad()])
     assert beyond.position_sigma_m(3.0) == pytest.approx([drift.position_sigma_m(3.0),
                                                           longer.position_sigma_m(3.0)])
+
+
+def test_half_a_turn_too_far_on_the_way_led_aside_by_a_quarter():
+    """And a motion that turned by no more than it should is as it was."""
+    np.testing.assert_allclose(
+        straightened(np.array([[2.0, 0.0, pi], [1.0, 2.0, 0.3]]), np.array([pi, 0.0])),
+        [[0.0, -2.0, 0.0], [1.0, 2.0, 0.3]], atol=1e-12)
+
+
+def test_an_arc_that_was_none_is_straight():
+    steps, pose = np.tile([0.01, 0.0, 0.0004], (500, 1)), np.zeros(3)
+    for x, y, turn in steps:
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        pose += (c * x - s * y, s * x + c * y, turn)
+    np.testing.assert_allclose(
+        straightened(pose[None], np.array([0.2]))[0], [5.0, 0.0, 0.0], atol=0.01)

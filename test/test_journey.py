@@ -73,9 +73,10 @@ def test_no_link_spans_a_break_of_the_odometry():
     assert not made.pieces.is_localised
 
 
-def test_the_age_of_an_experience_is_in_seconds_and_in_metres():
+def test_the_age_of_an_experience_is_in_seconds_of_motion_and_in_metres():
     made = journey([STEP, Pose2(2.0, 0.0, 0.0)])
-    made.move(IDENTITY, 5.0)
+    made.move(Pose2(0.0, 0.0, 0.1), 5.0)
+    made.move(IDENTITY, 60.0)
     assert made.visits.ages().tolist() == [[7.0, 3.0], [6.0, 2.0], [5.0, 0.0]]
 
 
@@ -254,8 +255,10 @@ def test_other_runs_stay_as_they_are():
     made = strayed()
     meet(made, [STEP], [12])
     create(made, [STEP] * 4)
+    made.visits.calibrate(np.zeros(1))
     after = links(made)
     made.undo(1)
+    made.visits.calibrate(np.zeros(1))  # to see the motions as odometry told them
     kept = {pair: motion for pair, motion in links(made).items() if pair in after}
     assert (47, 12) in kept and (12, 48) in kept
     assert all(after[pair] == pytest.approx(motion) for pair, motion in kept.items())
@@ -324,6 +327,151 @@ def test_taking_back_a_run_moves_nothing_from_after_a_break_of_the_odometry():
     before = made.visits.map.poses.copy()
     made.undo(1)
     assert made.visits.map.poses == pytest.approx(before)
+
+
+# What closures tell of the odometry
+
+BIAS = 0.01
+TURNED = [Pose2(x, y, yaw + BIAS) for x, y, yaw in SQUARE]
+
+
+def lap_and_a_half(**changes):
+    """Return a journey round a square by odometry that turns too far, and over its first half."""
+    made = journey(TURNED, **changes)
+    meet(made, TURNED[:20], range(1, 21))
+    made.take_stock()
+    return made
+
+
+def test_the_yaw_rate_is_corrected_in_every_motion_before_and_after():
+    made = lap_and_a_half()
+    error, = made.visits.odometry.yaw_rate_errors
+    assert error == pytest.approx(BIAS, rel=0.15)
+    motions = links(made)
+    create(made, TURNED[20:22])
+    for motion in (*(motions[k, k + 1] for k in (3, 25, 38)), *(
+            links(made)[pair] for pair in ((20, 41), (41, 42)))):
+        assert motion == pytest.approx((1.0, -0.5 * error, BIAS - error), abs=1e-4)
+
+
+def test_so_is_the_way_from_the_last_visit_to_here():
+    made = lap_and_a_half()
+    error, = made.visits.odometry.yaw_rate_errors
+    made.move(STEP, 1.0)
+    assert made.visits.place().offset == pytest.approx((1.0, -0.5 * error, -error), abs=1e-4)
+
+
+def test_what_is_made_there_agrees_with_its_link():
+    made = lap_and_a_half()
+    for _ in range(300):
+        made.visits.map.relax(100)
+    before = made.visits.map.poses.copy()
+    for k in range(20, 40):
+        for _ in range(3):
+            made.move(Pose2(*(np.array(TURNED[k]) / 3)), 1 / 3)
+        made.visits.create(made.visits.pose())
+        made.visits.map.relax(100)
+    np.testing.assert_array_equal(made.visits.map.poses[:len(before)], before)
+
+
+def test_an_error_that_barely_changes_leaves_the_map_alone():
+    made = lap_and_a_half()
+    before = made.visits.map.motions.copy()
+    made.visits.calibrate(made.visits.odometry.yaw_rate_errors + 0.9 * made.visits.BARELY)
+    np.testing.assert_array_equal(made.visits.map.motions, before)
+    made.visits.calibrate(made.visits.odometry.yaw_rate_errors + 1.1 * made.visits.BARELY)
+    assert (made.visits.map.motions != before).any()
+
+
+def test_without_an_error_motions_are_those_of_the_odometry():
+    made, straight = lap_and_a_half(), journey(TURNED)
+    made.visits.calibrate(np.zeros(1))
+    assert all(links(made)[pair] == pytest.approx(motion)
+               for pair, motion in links(straight).items())
+
+
+def test_after_a_break_nothing_is_known_of_the_odometry():
+    made = lap_and_a_half()
+    made.break_off()
+    made.visits.create(made.visits.pose())
+    create(made, TURNED[:1])
+    assert links(made)[41, 42] == pytest.approx(TURNED[0])
+    made.take_stock()
+    assert made.visits.odometry.yaw_rate_errors[0] == pytest.approx(BIAS, rel=0.15)
+    assert not made.visits.odometry.yaw_rate_errors[1:].any()
+
+
+def test_what_is_known_of_the_odometry_moves_the_map_at_once_and_the_robot_in_it():
+    made = journey(TURNED)
+    meet(made, TURNED[:20], range(1, 21))
+    made.move(STEP, 1.0)
+    made.visits.map.relax(1000)
+    before = made.visits.map.poses.copy()
+    made.take_stock()
+    error, = made.visits.odometry.yaw_rate_errors
+    assert made.visits.place().offset == pytest.approx((1.0, -0.5 * error, -error), abs=1e-4)
+    made.visits.map.relax(1000)
+    assert np.abs(made.visits.map.poses - before).max() > 0.01
+
+
+def test_a_relaxation_under_way_ends_though_what_is_known_changes_again_and_again():
+    made = lap_and_a_half()
+    made.visits.map.relax(1)
+    before, error = made.visits.map.poses.copy(), made.visits.odometry.yaw_rate_errors
+    for k in range(40):
+        made.visits.calibrate(error * (0.5 + k % 2))
+        made.visits.map.relax(1)
+    assert np.abs(made.visits.map.poses - before).max() > 0.01
+
+
+def test_a_gap_that_a_run_left_is_bridged_by_what_is_known_in_the_end():
+    made = journey(TURNED)
+    meet(made, TURNED[:4], (11, 12, 13, 14))
+    create(made, TURNED[4:6])
+    made.visits.calibrate(np.array([0.3]))
+    made.undo(1)
+    made.visits.calibrate(np.zeros(1))
+    flown = journey(TURNED + TURNED[:5])
+    assert links(made)[40, 41] == pytest.approx(
+        between(*(flown.visits.map.pose(k) for k in (40, 45))))
+
+
+def test_where_the_odometry_breaks_the_pose_is_what_it_was():
+    made = lap_and_a_half()
+    made.move(STEP, 1.0)
+    before = made.visits.pose()
+    made.break_off()
+    made.move(IDENTITY, 1.0)
+    assert made.visits.pose() == pytest.approx(before)
+
+
+@pytest.mark.parametrize('seconds', [600.0, 1.7e9], ids=['on_the_ground', 'clock_set'])
+def test_odometry_that_holds_still_errs_by_nothing_meanwhile(seconds):
+    still, flown = lap_and_a_half(), lap_and_a_half()
+    for made in (still, flown):
+        made.move(STEP, 1.0)
+        made.move(IDENTITY, seconds if made is still else 0.0)
+        create(made, TURNED[21:24])
+        made.take_stock()
+    assert still.visits.pose() == flown.visits.pose()
+    assert still.visits.odometry.yaw_rate_errors == flown.visits.odometry.yaw_rate_errors
+
+
+def test_the_error_is_known_after_hours_too():
+    """Round and round, until a hundredth of the flight is more than half a turn too far."""
+    turned = [Pose2(x, y, yaw + 0.03) for x, y, yaw in SQUARE]
+    made = journey(turned)
+    for k in range(40 * 300):
+        made.move(turned[k % 40], 1.0)
+        made.visits.add(k % 40 + 1, IDENTITY, 1)
+    made.take_stock()
+    assert made.visits.odometry.yaw_rate_errors == pytest.approx([0.03], rel=0.02)
+
+
+def test_a_run_taken_back_tells_nothing_of_the_odometry():
+    made = lap_and_a_half()
+    made.undo(1)
+    assert made.visits.odometry.yaw_rate_errors.tolist() == [0.0]
 
 
 # What was flown while lost

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import Config
+from dlsc_qbs_ros.core.drift import straightened
 from dlsc_qbs_ros.core.geometry import between, compose
 from dlsc_qbs_ros.core.sequence import SequenceScore
-from dlsc_qbs_ros.core.types import Code, Dictionary, OdometrySample, Pose2, View
+from dlsc_qbs_ros.core.types import (
+    Code, Dictionary, IDENTITY, OdometrySample, Pose2, PoseEstimate, View)
 from dlsc_qbs_ros.errors import MapError
 from dlsc_qbs_ros.io.map_file import read_map, write_map
 from dlsc_qbs_ros.pipeline.encoder import Encoder
@@ -270,17 +272,62 @@ def test_poses_do_not_wait_for_the_views_of_a_loaded_map_to_be_encoded():
 
 # Paused, forgotten, told
 
+def followed(ratslam, poses):
+    """Return the last of the poses by odometry, less the error that the map has told of it."""
+    error, = ratslam.mapper.visits.odometry.yaw_rate_errors
+    assert abs(error) > 1e-4
+    pose = poses[0].pose
+    for last, now in zip(poses, poses[1:]):
+        motion = np.array([between(last.odometry.pose, now.odometry.pose)])
+        turn_rad = error * (now.stamp_ns - last.stamp_ns) * 1e-9
+        pose = compose(pose, Pose2(*straightened(motion, np.array([turn_rad]))[0]))
+    return pose
+
+
+def test_where_no_code_comes_the_pose_goes_on_without_the_known_error_of_the_odometry():
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, first_part())
+    poses = fly(ratslam, [event for event in second_part() if isinstance(event, OdometrySample)])
+    expected = followed(ratslam, poses)
+    assert poses[-1].pose == pytest.approx(expected, abs=1e-9)
+    assert between(poses[0].track, poses[-1].track) == pytest.approx(
+        between(poses[0].pose, expected), abs=1e-9)
+
+
+def test_once_the_odometry_has_broken_its_error_is_not_known_any_more():
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, first_part())
+    poses = fly(ratslam, [replace(event, segment=1) for event in second_part()
+                          if isinstance(event, OdometrySample)])
+    assert between(poses[0].pose, poses[-1].pose) == pytest.approx(
+        between(poses[0].odometry.pose, poses[-1].odometry.pose), abs=1e-9)
+
+
+def test_a_robot_that_finds_nothing_in_a_map_that_stays_goes_on_by_its_odometry():
+    """Less the known error, step by step: its way turns meanwhile."""
+    ratslam = RatSlam(CONFIG)
+    fly(ratslam, first_part())
+    mapper = ratslam.mapper
+    mapper.is_mapping = False
+    poses = []
+    for sample in second_part():
+        if isinstance(sample, OdometrySample):
+            mapper.update(sample, np.zeros(mapper.view_cells.kept.shape[1], np.float32))
+            poses.append(PoseEstimate(
+                sample.stamp_ns, mapper.pose(), sample, IDENTITY, IDENTITY, 0.0, 0.0))
+    assert poses[-1].pose == pytest.approx(followed(ratslam, poses), abs=1e-6)
+
+
 def test_while_paused_the_map_stands_still_and_the_pose_follows_the_odometry():
     ratslam = RatSlam(CONFIG)
     fly(ratslam, first_part())
     n = len(ratslam.mapper.map)
     ratslam.is_paused = True
     assert ratslam.activity == 'paused'
-    before, *_, after = fly(ratslam, second_part())
+    poses = fly(ratslam, second_part())
     assert len(ratslam.mapper.map) == n
-    assert between(before.pose, after.pose) == pytest.approx(
-        between(before.odometry.pose, after.odometry.pose), abs=1e-6)
-    assert after.position_sigma_m > before.position_sigma_m
+    assert poses[-1].pose == pytest.approx(followed(ratslam, poses), abs=1e-3)
+    assert poses[-1].position_sigma_m > poses[0].position_sigma_m
 
 
 @pytest.mark.parametrize('is_first', [True, False])
@@ -453,6 +500,8 @@ def with_value(value, at=0):
     ('looks', with_value(10**7), 'stations and view cells'),
     ('look_likenesses', lambda array: array[:, 1:], 'the shape'),
     ('robot_stand', with_value(10**6), 'a visit'),
+    ('yaw_rate_errors', with_value(-1e3), 'errors of segments'),
+    ('yaw_rate_errors', lambda errors: np.append(errors, 0.0), 'errors of segments'),
     ('robot_drift', with_value(-1.0), 'none below 0'),
     ('put_segments', lambda array: np.array([[0, 9]]), 'segments there were'),
     ('pose_cells', lambda array: 0.0 * array, 'some activity'),

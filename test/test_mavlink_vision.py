@@ -14,11 +14,11 @@ PERIOD_NS = 20_000_000
 
 
 def estimate(k=0, pose=IDENTITY, sigma_m=0.3, sigma_rad=0.1, map_T_odom=IDENTITY, odom=IDENTITY,
-             **odometry):
+             track=None, **odometry):
     """Give the k-th estimate at 50 Hz."""
     stamp_ns = START_NS + k * PERIOD_NS
     return PoseEstimate(stamp_ns, pose, OdometrySample(stamp_ns, odom, **odometry), map_T_odom,
-                        sigma_m, sigma_rad)
+                        odom if track is None else track, sigma_m, sigma_rad)
 
 
 class Flight:
@@ -112,6 +112,16 @@ def test_it_steps_once_small_moves_have_come_to_a_large_one():
         moved = Pose2(0.11 * k, 0.0, 0.0)
         counters.append(flight.go_on(pose=moved, map_T_odom=moved)[-1].reset_counter)
     assert counters == [0, 0, 0, 1, 1, 1, 2, 2]
+
+
+def test_what_is_known_of_the_error_of_the_odometry_is_no_step():
+    """It turns map_T_odom all the time, and the poses with it, but they go on as they should."""
+    flight, counters = Flight(), set()
+    for k in range(600):
+        turned = Pose2(0.0, 0.0, 0.0015 * k)
+        counters |= {message.reset_counter for message in flight.go_on(
+            5, pose=turned, map_T_odom=turned, track=turned)}
+    assert len(counters) == 1
 
 
 def test_flying_is_no_move_of_the_map():

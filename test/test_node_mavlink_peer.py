@@ -63,7 +63,7 @@ def test_odometry_comes_and_poses_go(tmp_path, key):
         stamp_ns = time.time_ns()
         link.send(vision_message(PoseEstimate(
             stamp_ns, Pose2(1.5, -2.5, 0.0), OdometrySample(stamp_ns, IDENTITY, z_m=3.0),
-            IDENTITY, 0.5, 0.25), 7, 0.5))
+            IDENTITY, IDENTITY, 0.5, 0.25), 7, 0.5))
         answer = json.loads(lines.readline())
     assert not {name: count for name, count in link.diagnostics().items() if count}
     for raw in samples:

@@ -24,9 +24,9 @@ def stations(events, step=STEP):
     cells = []
     for event in events:
         if event == '|':
-            visits.cut()
+            visits.odometry.cut()
             continue
-        visits.move(step, 0.3)
+        visits.odometry.move(step, 0.3)
         if event == 'n':
             visits.create(visits.pose() if cells else IDENTITY)
             cells.append(len(visits.birth.values) - 1)

@@ -84,6 +84,36 @@ def surprises(chain: Chain, ends: np.ndarray, variances: np.ndarray,
     ndarray of shape (n_runs,)
 
     """
+    _, multipliers, information = _solution(chain, ends, variances, calibration_variances)
+    row_runs = np.repeat(runs, 3)
+    return np.array([_fall(multipliers[mine], information[np.ix_(mine, mine)])
+                     for mine in (row_runs == run for run in range(runs.max() + 1))])
+
+
+def yaw_rate_errors(chain: Chain, ends: np.ndarray, variances: np.ndarray,
+                    calibration_variances: np.ndarray) -> np.ndarray:
+    """
+    Return what the closures tell of the odometry's constant error of yaw rate, by segment.
+
+    Parameters
+    ----------
+    chain, ends, variances, calibration_variances
+        As in `surprises`.
+
+    Returns
+    -------
+    ndarray of shape (n_segments,)
+        In rad/s, too much to the left, of the segments that the chain names, in order.
+
+    """
+    calibration, *_ = _solution(chain, ends, variances, calibration_variances)
+    return calibration[::2]
+
+
+def _solution(chain: Chain, ends: np.ndarray, variances: np.ndarray,
+              calibration_variances: np.ndarray
+              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the errors of yaw rate and scale, by segment, l and K^-1; see `surprises`."""
     by_calibration, prior = _unknowns(chain, calibration_variances)
     poses = chain.poses
     for _ in range(N_ITERATIONS):
@@ -99,9 +129,7 @@ def surprises(chain: Chain, ends: np.ndarray, variances: np.ndarray,
         noise, calibration = np.split(spread.T @ multipliers, [changes.size])
         change = noise + by_calibration @ calibration
         poses = _path(poses[0], chain.motions + change.reshape(-1, 3))
-    row_runs = np.repeat(runs, 3)
-    return np.array([_fall(multipliers[mine], information[np.ix_(mine, mine)])
-                     for mine in (row_runs == run for run in range(runs.max() + 1))])
+    return calibration, multipliers, information
 
 
 def deviations(chain: Chain, ends: np.ndarray, variances: np.ndarray,

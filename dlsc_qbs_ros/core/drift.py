@@ -1,4 +1,4 @@
-"""How far odometry may have drifted since the map last confirmed it."""
+"""How far odometry may have drifted, and its motions without what is known of that."""
 
 from __future__ import annotations
 
@@ -7,8 +7,44 @@ from math import hypot, pi
 
 import numpy as np
 
+from .geometry import wrap_angle
 from .types import Pose2
 from ..config import OdometryConfig
+
+
+# Odometry that is slower than both, in m/s and rad/s, holds still, and so does its error.
+STILL_M_S, STILL_RAD_S = 0.02, 0.002
+
+
+def seconds_in_motion(motion: Pose2, seconds: float) -> float:
+    """
+    Return for how long odometry moved, or told a turn, on a motion that took so many seconds.
+
+    None of the time that it stands on the ground, or that its clock was set forward by.
+    """
+    moves = hypot(motion.x_m, motion.y_m) > STILL_M_S * seconds
+    return seconds if moves or abs(motion.yaw_rad) > STILL_RAD_S * seconds else 0.0
+
+
+def straightened(motions: np.ndarray, turns_rad: np.ndarray) -> np.ndarray:
+    """
+    Return motions of an odometry that turned too far on the way, and evenly, without that turn.
+
+    Parameters
+    ----------
+    motions : ndarray of shape (n, 3)
+        In metres and radians. Each should be straight, or turn evenly, itself.
+    turns_rad : ndarray of shape (n,)
+        By how much each turned too far to the left.
+
+    Returns
+    -------
+    ndarray of shape (n, 3)
+
+    """
+    x, y, yaw = motions.T
+    c, s = np.cos(0.5 * turns_rad), np.sin(0.5 * turns_rad)
+    return np.column_stack([c * x + s * y, c * y - s * x, wrap_angle(yaw - turns_rad)])
 
 
 class Drift:

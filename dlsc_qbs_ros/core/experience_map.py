@@ -95,6 +95,17 @@ class ExperienceMap:
             for rows in (self._links, self._motions, self._is_closure))
         self._strain()
 
+    def change_motions(self, changed: np.ndarray, motions: np.ndarray) -> None:
+        """
+        Let some links, given by an index array or mask, tell motions of shape (k, 3).
+
+        A relaxation under way ends as it began, or else one would never end in a large map.
+        """
+        told = self.motions.copy()
+        told[changed] = motions
+        self._motions = Rows(told)
+        self._is_strained = len(self.links) > 0
+
     def move(self, moved: np.ndarray, poses: np.ndarray) -> None:
         """Put some experiences, given by an index array or mask, at poses of shape (m, 3)."""
         self.poses[moved] = poses
@@ -120,7 +131,7 @@ class ExperienceMap:
 
     def _strain(self) -> None:
         """Begin the relaxation anew: what it set out from is not so any more."""
-        self._relaxation, self._is_strained = None, True
+        self._relaxation, self._is_strained = None, len(self.links) > 0
 
     def _take_over(self, relaxed: np.ndarray) -> None:
         """Put the first experiences where they belong, and the others where those lead."""

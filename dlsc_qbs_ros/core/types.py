@@ -110,11 +110,16 @@ class View:
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """The pose in the map frame for one odometry sample, and the map_T_odom that gave it."""
+    """
+    The pose in the map frame for one odometry sample, and the map_T_odom that gave it.
+
+    `track` is where the robot came by odometry, from anywhere, less what is known of its error.
+    """
 
     stamp_ns: int
     pose: Pose2
     odometry: OdometrySample
     map_T_odom: Pose2
+    track: Pose2
     position_sigma_m: float
     yaw_sigma_rad: float

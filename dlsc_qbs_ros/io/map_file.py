@@ -21,7 +21,7 @@ from .disk import replacement, sync
 from ..errors import MapError
 
 FORMAT = 'dlsc_qbs_ros map'
-VERSION = 1
+VERSION = 2
 HEADER = 'map.json'
 SUFFIX = '.npy'
 

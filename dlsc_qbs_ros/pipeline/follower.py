@@ -7,6 +7,7 @@ from math import hypot, inf
 
 from .mapper import Mapper
 from ..config import Config
+from ..core.drift import seconds_in_motion
 from ..core.geometry import between, compose, invert
 from ..core.types import IDENTITY, OdometrySample, Pose2, PoseEstimate
 
@@ -15,8 +16,9 @@ class Follower:
     """
     Carries the mapper's last correction, and the drift since then, along with the odometry.
 
-    Where odometry breaks, it goes on from the last pose until a code tells better. In a map that
-    was loaded, the first odometry is taken for what the map was left with, if it may be that.
+    The error of its yaw rate, as far as the map has told, is taken out. Where odometry breaks, it
+    goes on from the last pose until a code tells better. In a map that was loaded, the first
+    odometry is taken for what the map was left with, if it may be that.
     """
 
     # A node that starts again comes back that soon; an autopilot that does takes longer.
@@ -34,6 +36,7 @@ class Follower:
         # A pose, and its deviations, that was told before there was any odometry to go with it.
         self._told: tuple[Pose2, float, float] | None = None
         self._map_T_odom = mapper.map_T_odom() if self._may_bridge else IDENTITY
+        self._track = IDENTITY
 
     def reconfigure(self, config: Config) -> None:
         """Go on with other values of `live` parameters."""
@@ -74,7 +77,7 @@ class Follower:
             return
         seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
         motion = between(last.pose, sample.pose)
-        _, flown_s, flown_m = self._mapper.visits.track()
+        _, flown_s, flown_m = self._mapper.visits.odometry.track()
         allowed_m = (self._config.keyframe_distance_m
                      + self.BRIDGED_SPEEDS * flown_m * seconds / max(flown_s, 1.0))
         if 0.0 <= seconds <= self.BRIDGED_S and hypot(motion.x_m, motion.y_m) <= allowed_m:
@@ -102,14 +105,19 @@ class Follower:
             self._carry(last, sample)
         return PoseEstimate(
             sample.stamp_ns, compose(self._map_T_odom, sample.pose), sample, self._map_T_odom,
-            *self._mapper.sigmas(self._drift))
+            self._track, *self._mapper.sigmas(self._drift))
 
     def _carry(self, last: OdometrySample, sample: OdometrySample) -> None:
         """Carry the drift along; where odometry breaks, go on from the last pose."""
+        mapper, here = self._mapper, compose(self._map_T_odom, last.pose)
         if last.segment == sample.segment and last.stamp_ns <= sample.stamp_ns:
-            self._drift.move(between(last.pose, sample.pose),
-                             (sample.stamp_ns - last.stamp_ns) * 1e-9)
+            motion = between(last.pose, sample.pose)
+            seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
+            self._drift.move(motion, seconds)
+            if mapper.odometry is not None and mapper.odometry.segment == sample.segment:
+                motion = mapper.visits.odometry.calibrated_here(
+                    motion, seconds_in_motion(motion, seconds))
+            here, self._track = compose(here, motion), compose(self._track, motion)
         else:
-            self._map_T_odom = compose(compose(self._map_T_odom, last.pose),
-                                       invert(sample.pose))
             self._drift.anchor(inf, inf)
+        self._map_T_odom = compose(here, invert(sample.pose))

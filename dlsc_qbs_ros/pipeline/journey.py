@@ -10,7 +10,7 @@ import numpy as np
 from .pieces import Pieces
 from .visits import Visits
 from ..config import Config
-from ..core.consistency import Chain, contradiction, deviations
+from ..core.consistency import Chain, contradiction, deviations, yaw_rate_errors
 from ..core.drift import Drift
 from ..core.geometry import between, between_rows, compose
 from ..core.types import Pose2
@@ -38,6 +38,8 @@ class Journey:
     # and the nodes of the path by odometry, beside those that the closures join.
     MAX_CLOSURES = 40
     MAX_NODES = 100
+    # But from one node to the next odometry must not turn too far by its error.
+    SECONDS_PER_NODE = 60.0
     # How well places are known is found for one node of so many, and interpolated in between.
     SURVEY_STEP = 3
     # Deviation of the position after one metre of odometry's random walk.
@@ -91,7 +93,7 @@ class Journey:
 
     def move(self, motion: Pose2, seconds: float) -> None:
         """Carry the robot along with the odometry."""
-        self.visits.move(motion, seconds)
+        self.visits.odometry.move(motion, seconds)
         self.drift.move(motion, seconds)
 
     def break_off(self) -> None:
@@ -118,7 +120,7 @@ class Journey:
 
     def meet(self, experience: int, offset: Pose2) -> bool:
         """Visit an old experience, at an offset from it; return whether that is news to test."""
-        path_m = self.visits.track().metres
+        path_m = self.visits.odometry.track().metres
         self._begin_run(experience, path_m)
         is_apart = self.pieces.is_apart(experience)
         if is_apart:
@@ -151,15 +153,28 @@ class Journey:
         worst = contradiction(self._chain(nodes, self.BREAK_VARIANCE), *closures, groups)
         return None if worst is None else int(names[worst])
 
+    def take_stock(self) -> None:
+        """Learn from the closures that stand what they tell of the odometry and of the map."""
+        self.calibrate()
+        self.survey()
+
+    def calibrate(self) -> None:
+        """Take out of the odometry what the closures tell of the error of its yaw rate."""
+        errors, closures = np.zeros(int(self.visits.odometry.flown[2]) + 1), self._all_closures()
+        if closures is not None:
+            nodes, *closures = closures
+            chain = self._chain(nodes, self.BREAK_VARIANCE)
+            errors[np.unique(chain.segments).astype(int)] = yaw_rate_errors(chain, *closures)
+        self.visits.calibrate(errors)
+
     def survey(self) -> None:
         """Find how well the closures make known where places are in the map as a whole."""
-        births, met = self.visits.birth.values, self.visits.experience.values
-        visits = np.flatnonzero(self.visits.run.values)
         self._surveyed = None
-        if not len(visits):
+        closures = self._all_closures()
+        if closures is None:
             return
-        visits = visits[self._evenly(self.visits.flown.values[visits, 1])]
-        nodes, *closures = self._closed(births[met[visits]], visits)
+        nodes, *closures = closures
+        births, met = self.visits.birth.values, self.visits.experience.values
         places = np.flatnonzero(births[met[nodes]] == nodes)[::self.SURVEY_STEP]
         # What broke was joined by a match, whether that is among these closures or not.
         chain = self._chain(nodes, self._config.match_position_sigma_m ** 2)
@@ -182,16 +197,16 @@ class Journey:
         self.undone += 1
         self.pieces.label()
         met = np.append(0, np.flatnonzero(visits.run.values))[-1]
-        start = np.searchsorted(visits.flown.values[:, 2], visits.flown_now[2])
-        seconds, metres, _ = visits.flown_now - np.vstack(
-            [visits.flown.values, visits.flown_now])[max(met, start)]
+        start = np.searchsorted(visits.flown.values[:, 2], visits.odometry.flown[2])
+        seconds, metres, _ = visits.odometry.flown - np.vstack(
+            [visits.flown.values, visits.odometry.flown])[max(met, start)]
         self.drift.anchor(self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad)
         self.drift.move(Pose2(float(metres), 0.0, 0.0), float(seconds))
-        self.survey()
+        self.take_stock()
 
     def _cut(self) -> None:
         """Let another segment of the odometry begin."""
-        self.visits.cut()
+        self.visits.odometry.cut()
         self.pieces.label()
 
     def _begin_run(self, experience: int, path_m: float) -> None:
@@ -221,6 +236,15 @@ class Journey:
         self._closures = deque(
             [k for k in self._closures if self.visits.run.values[k]], self.MAX_CLOSURES)
 
+    def _all_closures(self) -> tuple[np.ndarray, ...] | None:
+        """Return what `_closed` does, of closures evenly along the flight; None if none is."""
+        births, met = self.visits.birth.values, self.visits.experience.values
+        visits = np.flatnonzero(self.visits.run.values)
+        if not len(visits):
+            return None
+        visits = visits[self._evenly(self.visits.flown.values[visits, 1])]
+        return self._closed(births[met[visits]], visits)
+
     def _evenly(self, metres: np.ndarray) -> np.ndarray:
         """Return the first of closures at these path lengths, (n,), in each of equal stretches."""
         stretch_m = max(self._config.min_path_m, np.ptp(metres) / self.MAX_CLOSURES, 1e-9)
@@ -229,8 +253,9 @@ class Journey:
     def _closed(self, starts: np.ndarray, visits: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return nodes on the path, the closures' ends among them and what both may err by."""
         ends = np.column_stack([starts, visits])
-        nodes = np.union1d(
-            ends, np.linspace(starts.min(), visits.max(), self.MAX_NODES, dtype=int))
+        seconds = np.append(self.visits.flown.values[:, 0], self.visits.odometry.flown[0])
+        n_nodes = max(self.MAX_NODES, int(np.ptp(seconds[ends]) / self.SECONDS_PER_NODE))
+        nodes = np.union1d(ends, np.linspace(starts.min(), visits.max(), n_nodes, dtype=int))
         match_m, match_rad = self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad
         return (nodes, np.searchsorted(nodes, ends), np.square([match_m, match_m, match_rad]),
                 np.square([self._odometry.yaw_bias_rad_s, self._odometry.translation_drift]))

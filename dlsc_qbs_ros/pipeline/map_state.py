@@ -16,6 +16,7 @@ SHAPING = ('encoder.input', 'encoder.mode', 'encoder.n_atoms', 'patches.size',
            'patches.cells_x', 'patches.cells_y', 'pose_cells.size_xy', 'pose_cells.cell_size_m')
 LARGEST = 1e12  # seconds too, of a clock that was set from 1970 to now
 MAX_BREAKS = 1e6
+MAX_YAW_RATE = 100.0  # rad/s
 MAX_STATIONS = 1e6  # as many views as a run may have, each after a gap, are not half of it
 
 
@@ -53,7 +54,7 @@ ARRAYS = {
     'visit_offsets': Array('<f8', ('visits', 3), 'the robot in the frame of the experience'),
     'visit_tracks': Array('<f8', ('visits', 3), 'the robot by odometry alone'),
     'visit_runs': Array('<i8', ('visits',), 'the run of matches it belongs to, 0 for none'),
-    'visit_flown': Array('<f8', ('visits', 3), 'seconds, metres and breaks of odometry so far'),
+    'visit_flown': Array('<f8', ('visits', 3), 'seconds in motion, metres, breaks so far'),
     'closure_visits': Array('<i8', ('closures',), 'those under test', 'visits'),
     'put_segments': Array('<i8', ('puts', 2), 'segments of odometry that are one without a visit'),
     'looks': Array('<i8', ('looks', 3), 'stations since the last views, how unsure that is, and '
@@ -63,10 +64,12 @@ ARRAYS = {
     'odometry_stamp_ns': Array('<i8', (1,), 'of the last odometry that was used'),
     'odometry': Array('<f8', (6,), 'it: x, y, yaw, z, roll, pitch'),
     'robot_track': Array('<f8', (3,), 'the robot by odometry alone'),
-    'robot_since': Array('<f8', (3,), 'its motion since the visit that it stands by'),
+    'robot_start': Array('<f8', (8,), 'where it set out: from the visit that it stands by, by '
+                         'odometry alone, in seconds and in metres flown'),
     'robot_stand': Array('<i8', (1,), 'that visit; -1 for the last one'),
     'robot_flown': Array('<f8', (3,), 'seconds, metres and breaks of odometry so far'),
     'robot_drift': Array('<f8', (4,), 'deviations at the last anchor in m, rad; m, s since'),
+    'yaw_rate_errors': Array('<f8', ('segments',), 'of odometry, in rad/s, up to each break'),
     'run_counts': Array('<i8', (2,), 'runs of matches there were, and were taken back'),
     'run_metres': Array('<f8', (3,), 'flown at its start, at its next test, at the last match'),
 }
@@ -117,9 +120,12 @@ def _check_array(name: str, array: np.ndarray, spec: Array, sizes: dict[str, int
 def _check_sense(state: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None:
     """Check what one number means for another, where nonsense would end the node later."""
     flown = np.vstack([np.zeros(3), state['visit_flown'], state['robot_flown']])
-    breaks = flown[:, 2]
+    breaks, births = flown[:, 2], state['experience_births']
     for name, holds, expected in (
             ('experience_poses', sizes['experiences'] > 0, 'at least one'),
+            ('experience_births', (np.diff(births) > 0).all() and np.array_equal(
+                state['visit_experiences'][births], np.arange(len(births))),
+             'a rising visit of each experience'),
             ('experience_view_cells',
              len(np.unique(state['experience_view_cells'])) == sizes['view_cells'],
              'an experience for every view cell'),
@@ -128,9 +134,12 @@ def _check_sense(state: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None
             ('dictionaries', all(map(np.any, state['dictionaries'])), 'atoms that are not all 0'),
             ('visit_flown', (np.diff(flown, axis=0) >= 0.0).all() and breaks[-1] <= MAX_BREAKS
              and (breaks == np.floor(breaks)).all(), 'what never falls, in whole breaks'),
+            ('yaw_rate_errors', sizes['segments'] <= breaks[-1] + 1
+             and _within(state['yaw_rate_errors'], -MAX_YAW_RATE, MAX_YAW_RATE),
+             'errors of segments there were'),
             ('put_segments', _within(state['put_segments'], 0, breaks[-1]), 'segments there were'),
-            ('visit_runs', _within(state['visit_runs'], 0, state['run_counts'][0]),
-             'runs there were'),
+            ('visit_runs', _within(state['visit_runs'], 0, state['run_counts'][0])
+             and not state['visit_runs'][births].any(), 'runs there were, of places met again'),
             ('looks', _within(state['looks'], 0, MAX_STATIONS), 'stations and view cells'),
             ('run_counts', _within(state['run_counts'], 0, LARGEST), 'counts'),
             ('link_makers', _within(state['link_makers'], -1, sizes['visits'] - 1), 'visits'),

@@ -84,6 +84,8 @@ class Mapper:
 
         """
         motion = self._advance(odometry)
+        if not self.is_mapping:
+            self.visits.odometry.halt()
         n_cells = len(self.view_cells)
         is_keyframe = self._is_keyframe(odometry, 1.0 if code.any() else self.PATIENCE)
         if is_keyframe:
@@ -97,6 +99,7 @@ class Mapper:
     def carry(self, odometry: OdometrySample) -> None:
         """Go along with the odometry without a look; the views before are not continued."""
         self.packet.step(self._advance(odometry))
+        self.visits.odometry.halt()
         self._matcher.end_run()
 
     def put(self, pose: Pose2, position_sigma_m: float, yaw_sigma_rad: float) -> None:
@@ -290,4 +293,4 @@ class Mapper:
         is_news = arrive(experience, offset)
         self.drift.anchor(sigma_m * sqrt(1.0 - trust_m), sigma_rad * sqrt(1.0 - trust_rad))
         if is_news and not self._judge():
-            self.journey.survey()
+            self.journey.take_stock()

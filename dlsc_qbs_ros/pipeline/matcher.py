@@ -112,7 +112,7 @@ class Matcher:
         if not scores.is_whole[cells[np.argmax(of_experiences)]]:
             return None
         return self._relocaliser.find(
-            of_experiences, self._map.poses, pieces, self._visits.track())
+            of_experiences, self._map.poses, pieces, self._visits.odometry.track())
 
     def match(self, scores: Scores) -> Match | None:
         """Return the view cell that the last run of views ends in, if odometry allows one."""

@@ -96,7 +96,7 @@ class Pieces:
         if visits.is_put:
             return visits.place().visit
         met = np.flatnonzero(visits.run.values)
-        if not len(met) or visits.flown.values[met[-1], 2] != visits.flown_now[2]:
+        if not len(met) or visits.flown.values[met[-1], 2] != visits.odometry.flown[2]:
             return None
         return int(visits.birth.values[visits.experience.values[met[-1]]])
 
@@ -113,7 +113,7 @@ class Pieces:
     def put(self, experience: int) -> None:
         """Take the robot to be in the piece of an experience from here on."""
         if self.is_apart(experience):
-            self._put.append((self._visits.flown_now[2], self._segment(experience)))
+            self._put.append((self._visits.odometry.flown[2], self._segment(experience)))
             self.label()
 
     def join(self, experience: int, offset: Pose2) -> None:
@@ -132,7 +132,7 @@ class Pieces:
         met = np.flatnonzero(visits.run.values)
         births = visits.birth.values[visits.experience.values[met]]
         joins = np.vstack([visits.flown.values[[met, births], 2].T, self._put.values])
-        self._piece = np.arange(int(visits.flown_now[2]) + 1)
+        self._piece = np.arange(int(visits.odometry.flown[2]) + 1)
         for pair in np.unique(joins.astype(int), axis=0).tolist():
             pieces = self._piece[pair]
             self._piece[np.isin(self._piece, pieces)] = pieces.min()

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot
 
 import numpy as np
 
+from .dead_reckoning import DeadReckoning
 from ..core.experience_map import ExperienceMap
-from ..core.geometry import between, between_rows, compose, compose_rows, invert, wrap_angle
+from ..core.geometry import between_rows, compose, compose_rows, wrap_angle
 from ..core.rows import Rows
-from ..core.types import IDENTITY, Pose2, Track
+from ..core.types import IDENTITY, Pose2
 from ..errors import MapError
 
 ALL = slice(None)
@@ -41,7 +41,8 @@ class Visits:
 
     A visit creates an experience or meets an old one, and is linked to the visit before it,
     unless odometry broke in between. Visits can be taken back: their links go, odometry bridges
-    the gap, and what was created after them moves along.
+    the gap, and what was created after them moves along. Motions are those of the odometry, less
+    the error of its yaw rate as far as that is known.
 
     Attributes
     ----------
@@ -51,20 +52,22 @@ class Visits:
     run : Rows of int64
         The run of matches that each visit is part of; 0 for none.
     flown : Rows of shape (n, 3)
-        The seconds, metres and breaks of odometry up to each visit.
-    flown_now : ndarray of shape (3,)
-        The same up to here.
+        The seconds in motion, metres and breaks of odometry up to each visit.
     birth : Rows of int64
         The visit that created each experience.
+    odometry : DeadReckoning
+        From the visit that the robot's place is given by, since the last break of the odometry.
 
     """
+
+    # Smaller changes of these errors, in rad/s, leave the map as it is.
+    BARELY = 1e-4
 
     def __init__(self):
         self.map = ExperienceMap()
         self.experience = Rows(np.zeros(0, np.int64))
         self.run = Rows(np.zeros(0, np.int64))
         self.flown = Rows(np.zeros((0, 3)))
-        self.flown_now = np.zeros(3)
         self.birth = Rows(np.zeros(0, np.int64))
         # Per visit: the pose in the frame of its experience, and by odometry alone.
         self._offset = Rows(np.zeros((0, 3)))
@@ -72,9 +75,9 @@ class Visits:
         # Per link: the visit that made it.
         self._maker = Rows(np.zeros(0, np.int64))
         # The visit that the robot's place is given by: the last one, but for a robot that was
-        # put elsewhere; its motion since then, and its pose by odometry alone.
+        # put elsewhere.
         self._stand = -1
-        self._here = self._since = IDENTITY
+        self.odometry = DeadReckoning()
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
@@ -90,10 +93,8 @@ class Visits:
             'visit_tracks': self._track.values.copy(),
             'visit_runs': self.run.values.copy(),
             'visit_flown': self.flown.values.copy(),
-            'robot_track': np.array(self._here),
-            'robot_since': np.array(self._since),
-            'robot_flown': self.flown_now.copy(),
-            'robot_stand': np.array([self._stand])}
+            'robot_stand': np.array([self._stand]),
+            **self.odometry.state()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on, where nothing was visited yet, from what `state` returned."""
@@ -109,23 +110,27 @@ class Visits:
          self.flown) = (Rows(state[name].copy()) for name in (
              'experience_births', 'link_makers', 'visit_experiences', 'visit_offsets',
              'visit_tracks', 'visit_runs', 'visit_flown'))
-        self._here, self._since = (
-            Pose2(*state[name].tolist()) for name in ('robot_track', 'robot_since'))
-        self.flown_now = state['robot_flown'].copy()
         self._stand = int(state['robot_stand'][0])
-
-    def move(self, motion: Pose2, seconds: float) -> None:
-        """Carry the robot along with the odometry."""
-        self._here, self._since = compose(self._here, motion), compose(self._since, motion)
-        self.flown_now = self.flown_now + (seconds, hypot(motion.x_m, motion.y_m), 0.0)
-
-    def cut(self) -> None:
-        """Let no link span from the last visit to the next."""
-        self.flown_now = self.flown_now + (0.0, 0.0, 1.0)
+        self.odometry.restore(state)
 
     def put(self, experience: int, offset: Pose2) -> None:
         """Take the robot to be at an offset from an old experience, without a visit."""
-        self._stand, self._since = int(self.birth.values[experience]), offset
+        self._stand = int(self.birth.values[experience])
+        self.odometry.set_out(offset)
+
+    def calibrate(self, yaw_rate_errors: np.ndarray) -> None:
+        """Take other errors of the odometry's yaw rate, (n_segments,), out of all motions."""
+        before = self.odometry.yaw_rate_errors
+        changes = yaw_rate_errors.copy()
+        changes[:len(before)] -= before
+        if np.abs(changes).max(initial=0.0) < self.BARELY:
+            return
+        self.odometry.calibrate(yaw_rate_errors)
+        is_created = self.birth.values[self.experience.values] == np.arange(len(self.run.values))
+        for visit in np.flatnonzero((self.run.values == 0) & ~is_created).tolist():
+            self._offset.values[visit] = self._arrival(visit)  # taken back: odometry led there
+        links = np.flatnonzero(self._maker.values > 0)
+        self.map.change_motions(links, self._motions(self._maker.values[links]))
 
     @property
     def is_put(self) -> bool:
@@ -141,10 +146,11 @@ class Visits:
         """Visit an experience, at an offset from it, as one of a run of matches."""
         self.experience.append(experience)
         self._offset.append(offset)
-        self._track.append(self._here)
+        self._track.append(self.odometry.here)
         self.run.append(run)
-        self.flown.append(self.flown_now)
-        self._stand, self._since = -1, IDENTITY
+        self.flown.append(self.odometry.flown)
+        self._stand = -1
+        self.odometry.set_out(IDENTITY)
         self._link(len(self.experience.values) - 1)
 
     def take_back(self, visits: np.ndarray) -> None:
@@ -166,15 +172,11 @@ class Visits:
     def place(self) -> Place | None:
         """Return where the robot stands; None before the first visit."""
         n = len(self.experience.values)
-        return Place(self, self._stand % n, self._since) if n else None
+        return Place(self, self._stand % n, self.odometry.since) if n else None
 
     def pose(self) -> Pose2:
         """Return where the robot stands in the map."""
-        return compose(self.pose_at(self._stand), self._since)
-
-    def track(self) -> Track:
-        """Return where the robot is by odometry alone."""
-        return Track(self._here, *self.flown_now[:2].tolist())
+        return compose(self.pose_at(self._stand), self.odometry.since)
 
     def offset_at(self, visit: int) -> Pose2:
         """Return the robot's pose at a visit in the frame of the experience."""
@@ -196,8 +198,8 @@ class Visits:
         return float(np.abs(wrap_angle(turns_rad)).max())
 
     def ages(self, experiences: np.ndarray | slice = ALL) -> np.ndarray:
-        """Return the seconds and metres flown since experiences were created, (n, 2)."""
-        return (self.flown_now - self.flown.values[self.birth.values[experiences]])[:, :2]
+        """Return the seconds in motion and metres since experiences were created, (n, 2)."""
+        return (self.odometry.flown - self.flown.values[self.birth.values[experiences]])[:, :2]
 
     def ways(self, origins: np.ndarray, visits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -220,13 +222,23 @@ class Visits:
         experience, offset, track, flown = (
             _at(nodes, rows.values, now) for rows, now in (
                 (self.experience, here.experience), (self._offset, here.offset),
-                (self._track, self._here), (self.flown, self.flown_now)))
+                (self._track, self.odometry.here), (self.flown, self.odometry.flown)))
         return compose_rows(self.map.poses[experience], offset), track, flown
 
+    def _arrivals(self, visits: np.ndarray) -> np.ndarray:
+        """Return where visits were, by odometry, in the frames of the experiences before."""
+        track, flown = self._track.values, self.flown.values
+        seconds, _, _ = (flown[visits] - flown[visits - 1]).T
+        return compose_rows(self._offset.values[visits - 1], self.odometry.calibrated(
+            between_rows(track[visits - 1], track[visits]), seconds, flown[visits, 2]))
+
     def _arrival(self, visit: int) -> Pose2:
-        """Return where a visit was, by odometry, in the frame of the last visit's experience."""
-        return compose(self.offset_at(visit - 1),
-                       between(self.track_at(visit - 1), self.track_at(visit)))
+        return Pose2(*self._arrivals(np.array([visit]))[0].tolist())
+
+    def _motions(self, visits: np.ndarray) -> np.ndarray:
+        """Return the motions from the experiences before visits to those visited, (n, 3)."""
+        offsets = self._offset.values[visits]
+        return compose_rows(self._arrivals(visits), between_rows(offsets, np.zeros_like(offsets)))
 
     def _is_cut(self, visit: int) -> bool:
         """Whether odometry broke between the visit before and this one."""
@@ -237,7 +249,7 @@ class Visits:
         if visit == 0 or self._is_cut(visit):
             return
         origin, target = self.experience.values[[visit - 1, visit]].tolist()
-        motion = compose(self._arrival(visit), invert(self.offset_at(visit)))
+        motion = Pose2(*self._motions(np.array([visit]))[0].tolist())
         is_closure = bool(self.birth.values[target] != visit)
         if self.map.add_link(origin, target, motion, is_closure):
             self._maker.append(visit)

@@ -4,7 +4,7 @@ from math import inf, nan
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from dlsc_qbs_ros.core.types import (
-    Code, Dictionary, GroundTruthSample, OdometrySample, Pose2, PoseEstimate, View)
+    Code, Dictionary, GroundTruthSample, IDENTITY, OdometrySample, Pose2, PoseEstimate, View)
 from dlsc_qbs_ros.errors import ImageError, OdometryError, RecordingError
 from dlsc_qbs_ros.ros import conversions, map_conversions
 from dlsc_qbs_ros.ros.serialization import (
@@ -97,7 +97,7 @@ def test_ground_truth_may_be_of_other_pose_types(msg_type):
 
 def test_an_estimate_keeps_height_and_tilt_of_its_odometry():
     estimate = PoseEstimate(
-        STAMP_NS, Pose2(5.0, 6.0, 0.7), SAMPLE, Pose2(0.0, 0.0, 0.0), 0.5, 0.1)
+        STAMP_NS, Pose2(5.0, 6.0, 0.7), SAMPLE, IDENTITY, IDENTITY, 0.5, 0.1)
     msg = over_the_wire(conversions.pose_to_msg(estimate, 'map'))
     assert (msg.header.frame_id, stamp_to_ns(msg.header.stamp)) == ('map', STAMP_NS)
     as_odometry = Odometry(header=msg.header, pose=msg.pose)

@@ -79,8 +79,8 @@ class VisionOutput:
         """Whether the map has moved the pose since the last step."""
         if self._reference is None:
             self._reference = estimate
-        shift = between(
-            compose(self._reference.map_T_odom, estimate.odometry.pose), estimate.pose)
+        flown = between(self._reference.track, estimate.track)
+        shift = between(compose(self._reference.pose, flown), estimate.pose)
         return (hypot(shift.x_m, shift.y_m) > self._match_sigma_m
                 or abs(shift.yaw_rad) > self._match_sigma_rad)
 

@@ -1,0 +1,101 @@
+"""Where the robot is by odometry alone, and less the error of its yaw rate that closures tell."""
+
+from __future__ import annotations
+
+from math import hypot
+
+import numpy as np
+
+from ..core.drift import seconds_in_motion, straightened
+from ..core.geometry import between, compose
+from ..core.types import IDENTITY, Pose2, Track
+
+
+class DeadReckoning:
+    """
+    The odometry of the flight, segment by segment.
+
+    Attributes
+    ----------
+    here : Pose2
+        The robot's pose by odometry alone, as it came.
+    flown : ndarray of shape (3,)
+        The seconds in motion, metres and breaks of odometry up to here.
+    since : Pose2
+        Where the robot is in the frame that it set out from: the motion since then is calibrated.
+    yaw_rate_errors : ndarray of shape (n_segments,)
+        In rad/s, of the segments between breaks; 0 of those after the last one.
+
+    """
+
+    def __init__(self):
+        self.here = self.since = IDENTITY
+        self.flown = np.zeros(3)
+        self.yaw_rate_errors = np.zeros(0)
+        # Where the robot set out, and where it was then by odometry alone.
+        self._start, self._start_track = IDENTITY, Track(IDENTITY, 0.0, 0.0)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
+        pose, *flown = self._start_track
+        return {
+            'robot_track': np.array(self.here), 'robot_flown': self.flown.copy(),
+            'robot_start': np.array([*self._start, *pose, *flown]),
+            'yaw_rate_errors': self.yaw_rate_errors.copy()}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from what `state` returned."""
+        self.here = Pose2(*state['robot_track'].tolist())
+        self.flown = state['robot_flown'].copy()
+        *numbers, seconds, metres = state['robot_start'].tolist()
+        self._start, self._start_track = (
+            Pose2(*numbers[:3]), Track(Pose2(*numbers[3:]), seconds, metres))
+        self.calibrate(state['yaw_rate_errors'])
+
+    def track(self) -> Track:
+        """Return where the robot is by odometry alone."""
+        return Track(self.here, *self.flown[:2].tolist())
+
+    def move(self, motion: Pose2, seconds: float) -> None:
+        """Carry the robot along."""
+        self.here = compose(self.here, motion)
+        self.flown = self.flown + (
+            seconds_in_motion(motion, seconds), hypot(motion.x_m, motion.y_m), 0.0)
+        self._go_on()
+
+    def cut(self) -> None:
+        """Let another segment begin."""
+        self.halt()
+        self.flown = self.flown + (0.0, 0.0, 1.0)
+
+    def set_out(self, pose: Pose2) -> None:
+        """Let the robot set out from here, at a pose in any frame."""
+        self.since, self._start, self._start_track = pose, pose, self.track()
+
+    def halt(self) -> None:
+        """Take the way so far as it is: what is yet to come may turn on it."""
+        self.set_out(self.since)
+
+    def calibrate(self, yaw_rate_errors: np.ndarray) -> None:
+        """Go on with other errors of the yaw rate, (n_segments,)."""
+        self.yaw_rate_errors = yaw_rate_errors.copy()
+        self._go_on()
+
+    def calibrated(self, motions: np.ndarray, seconds: np.ndarray, segments: np.ndarray
+                   ) -> np.ndarray:
+        """Return motions of the odometry, (n, 3), less the error of its yaw rate."""
+        errors = np.append(self.yaw_rate_errors, 0.0)
+        return straightened(motions, seconds * errors[
+            np.minimum(segments.astype(int), len(errors) - 1)])
+
+    def calibrated_here(self, motion: Pose2, seconds: float) -> Pose2:
+        """Return a motion of the odometry of this segment, less the error of its yaw rate."""
+        if not len(self.yaw_rate_errors):
+            return motion
+        motion, = self.calibrated(np.array([motion]), np.array([seconds]), self.flown[2:])
+        return Pose2(*motion.tolist())
+
+    def _go_on(self) -> None:
+        track = self._start_track
+        self.since = compose(self._start, self.calibrated_here(
+            between(track.pose, self.here), float(self.flown[0]) - track.seconds))
