@@ -37,8 +37,8 @@ class Journey:
     # What bounds the time of a test or a survey: the closures in it, for a test the newest ones,
     # and the nodes of the path by odometry, beside those that the closures join.
     MAX_CLOSURES = 40
-    MAX_NODES = 100
-    # But from one node to the next odometry must not turn too far by its error.
+    N_NODES = 100
+    # In hours there are more nodes: from one to the next, no error of a yaw rate may turn far.
     SECONDS_PER_NODE = 60.0
     # How well places are known is found for one node of so many, and interpolated in between.
     SURVEY_STEP = 3
@@ -254,7 +254,7 @@ class Journey:
         """Return nodes on the path, the closures' ends among them and what both may err by."""
         ends = np.column_stack([starts, visits])
         seconds = np.append(self.visits.flown.values[:, 0], self.visits.odometry.flown[0])
-        n_nodes = max(self.MAX_NODES, int(np.ptp(seconds[ends]) / self.SECONDS_PER_NODE))
+        n_nodes = max(self.N_NODES, int(np.ptp(seconds[ends]) / self.SECONDS_PER_NODE))
         nodes = np.union1d(ends, np.linspace(starts.min(), visits.max(), n_nodes, dtype=int))
         match_m, match_rad = self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad
         return (nodes, np.searchsorted(nodes, ends), np.square([match_m, match_m, match_rad]),

@@ -60,7 +60,7 @@ class Visits:
 
     """
 
-    # Smaller changes of these errors, in rad/s, leave the map as it is.
+    # Smaller changes of what is known of the yaw rate, in rad/s, leave the map as it is.
     BARELY = 1e-4
 
     def __init__(self):
