@@ -104,7 +104,7 @@ class ExperienceMap:
         told = self.motions.copy()
         told[changed] = motions
         self._motions = Rows(told)
-        self._is_strained = len(self.links) > 0
+        self._is_strained = True
 
     def move(self, moved: np.ndarray, poses: np.ndarray) -> None:
         """Put some experiences, given by an index array or mask, at poses of shape (m, 3)."""
@@ -119,7 +119,7 @@ class ExperienceMap:
         That much work is done at a time: a large map moves some calls later, in one go, as it
         was at the first of them. What was added meanwhile goes along, as its links tell.
         """
-        if self._relaxation is None and self._is_strained:
+        if self._relaxation is None and self._is_strained and len(self.links):
             self._is_strained = False
             self._relaxation = relaxation(self.poses.copy(), self.links, self.motions)
         for _ in range(n_steps if self._relaxation else 0):
@@ -131,7 +131,7 @@ class ExperienceMap:
 
     def _strain(self) -> None:
         """Begin the relaxation anew: what it set out from is not so any more."""
-        self._relaxation, self._is_strained = None, len(self.links) > 0
+        self._relaxation, self._is_strained = None, True
 
     def _take_over(self, relaxed: np.ndarray) -> None:
         """Put the first experiences where they belong, and the others where those lead."""

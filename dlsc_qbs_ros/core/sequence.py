@@ -127,14 +127,16 @@ class SequenceScore:
         total, n_views = _seen(_at_stations(similarities, stations))
         earlier = [*self._looks][-2::-1][:self.REACH * length - 1]
         for look in earlier[:length - 1]:
-            _add(look, self._station - look.station, total, n_views)
+            values, is_seen = _behind(look, self._station - look.station, len(total))
+            total += values
+            n_views += is_seen
         lacking = stations[n_views[stations] < length]
         for look in earlier[length - 1:]:
             if not len(lacking):
                 break
-            values, is_seen = _behind(look, self._station - look.station, lacking)
-            total[lacking] += values
-            n_views[lacking] += is_seen
+            values, is_seen = _behind(look, self._station - look.station, len(total))
+            total[lacking] += values[lacking]
+            n_views[lacking] += is_seen[lacking]
             lacking = lacking[n_views[lacking] < length]
         total, n_views = total[stations], n_views[stations]
         mean = total / n_views.astype(total.dtype)
@@ -151,7 +153,7 @@ def _at_stations(values: np.ndarray, stations: np.ndarray) -> np.ndarray:
     """Return the values of cells station by station; NaN where there is no cell."""
     n_stations = int(stations[-1]) + 1 if len(stations) else 0
     if n_stations == len(values):
-        return values.copy()
+        return values
     row = np.full(n_stations, np.nan, values.dtype)
     row[stations] = values
     return row
@@ -173,24 +175,13 @@ def _seen(row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(is_seen, row, row.dtype.type(0)), is_seen.astype(np.int16)
 
 
-def _add(look: Look, back: int, total: np.ndarray, n_views: np.ndarray) -> None:
-    """Add to all stations what is best around the one so far back; -1 beyond the cells."""
+def _behind(look: Look, back: int, n_stations: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return what is best around the station so far back from each, as `_seen`; -1 beyond."""
+    values, is_seen = np.full(n_stations, -1.0, look.best.dtype), np.ones(n_stations, np.int16)
     # `best` starts with the station `slack` before the first, and that is `back` behind.
     shift = back - look.slack
-    start = min(max(shift, 0), len(total))
-    end = max(min(shift + len(look.best), len(total)), start)
-    total[start:end] += look.best[start - shift:end - shift]
-    n_views[start:end] += look.is_seen[start - shift:end - shift]
-    for beyond in (slice(start), slice(end, None)):
-        total[beyond] -= 1.0
-        n_views[beyond] += 1
-
-
-def _behind(look: Look, back: int, stations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `_add` adds to some stations: values and whether they count, (n,)."""
-    at = stations - (back - look.slack)
-    is_beyond = (at < 0) | (at >= len(look.best))
-    at[is_beyond] = 0
-    if not len(look.best):
-        return np.full(len(at), -1.0), np.ones(len(at), np.int16)
-    return np.where(is_beyond, -1.0, look.best[at]), np.where(is_beyond, 1, look.is_seen[at])
+    start = min(max(shift, 0), n_stations)
+    end = max(min(shift + len(look.best), n_stations), start)
+    values[start:end] = look.best[start - shift:end - shift]
+    is_seen[start:end] = look.is_seen[start - shift:end - shift]
+    return values, is_seen

@@ -32,24 +32,22 @@ class DeadReckoning:
         self.here = self.since = IDENTITY
         self.flown = np.zeros(3)
         self.yaw_rate_errors = np.zeros(0)
-        # Where the robot set out, and where it was then by odometry alone.
-        self._start, self._start_track = IDENTITY, Track(IDENTITY, 0.0, 0.0)
+        # Where and when the robot set out, and where it was then by odometry alone.
+        self._start, self._start_here, self._start_s = IDENTITY, IDENTITY, 0.0
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
-        pose, *flown = self._start_track
         return {
             'robot_track': np.array(self.here), 'robot_flown': self.flown.copy(),
-            'robot_start': np.array([*self._start, *pose, *flown]),
+            'robot_start': np.array([*self._start, *self._start_here, self._start_s]),
             'yaw_rate_errors': self.yaw_rate_errors.copy()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on from what `state` returned."""
         self.here = Pose2(*state['robot_track'].tolist())
         self.flown = state['robot_flown'].copy()
-        *numbers, seconds, metres = state['robot_start'].tolist()
-        self._start, self._start_track = (
-            Pose2(*numbers[:3]), Track(Pose2(*numbers[3:]), seconds, metres))
+        *numbers, self._start_s = state['robot_start'].tolist()
+        self._start, self._start_here = Pose2(*numbers[:3]), Pose2(*numbers[3:])
         self.calibrate(state['yaw_rate_errors'])
 
     def track(self) -> Track:
@@ -70,7 +68,8 @@ class DeadReckoning:
 
     def set_out(self, pose: Pose2) -> None:
         """Let the robot set out from here, at a pose in any frame."""
-        self.since, self._start, self._start_track = pose, pose, self.track()
+        self.since = self._start = pose
+        self._start_here, self._start_s = self.here, float(self.flown[0])
 
     def halt(self) -> None:
         """Take the way so far as it is: what is yet to come may turn on it."""
@@ -96,6 +95,5 @@ class DeadReckoning:
         return Pose2(*motion.tolist())
 
     def _go_on(self) -> None:
-        track = self._start_track
         self.since = compose(self._start, self.calibrated_here(
-            between(track.pose, self.here), float(self.flown[0]) - track.seconds))
+            between(self._start_here, self.here), float(self.flown[0]) - self._start_s))

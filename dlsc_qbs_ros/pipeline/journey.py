@@ -155,12 +155,13 @@ class Journey:
 
     def take_stock(self) -> None:
         """Learn from the closures that stand what they tell of the odometry and of the map."""
-        self.calibrate()
-        self.survey()
+        closures = self._all_closures()
+        self._calibrate(closures)
+        self._survey(closures)
 
-    def calibrate(self) -> None:
-        """Take out of the odometry what the closures tell of the error of its yaw rate."""
-        errors, closures = np.zeros(int(self.visits.odometry.flown[2]) + 1), self._all_closures()
+    def _calibrate(self, closures: tuple[np.ndarray, ...] | None) -> None:
+        """Take out of the odometry what closures tell of the error of its yaw rate."""
+        errors = np.zeros(int(self.visits.odometry.flown[2]) + 1)
         if closures is not None:
             nodes, *closures = closures
             chain = self._chain(nodes, self.BREAK_VARIANCE)
@@ -169,8 +170,10 @@ class Journey:
 
     def survey(self) -> None:
         """Find how well the closures make known where places are in the map as a whole."""
+        self._survey(self._all_closures())
+
+    def _survey(self, closures: tuple[np.ndarray, ...] | None) -> None:
         self._surveyed = None
-        closures = self._all_closures()
         if closures is None:
             return
         nodes, *closures = closures
@@ -253,9 +256,10 @@ class Journey:
     def _closed(self, starts: np.ndarray, visits: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return nodes on the path, the closures' ends among them and what both may err by."""
         ends = np.column_stack([starts, visits])
-        seconds = np.append(self.visits.flown.values[:, 0], self.visits.odometry.flown[0])
-        n_nodes = max(self.N_NODES, int(np.ptp(seconds[ends]) / self.SECONDS_PER_NODE))
-        nodes = np.union1d(ends, np.linspace(starts.min(), visits.max(), n_nodes, dtype=int))
+        first, last = starts.min(), visits.max()
+        _, _, flown = self.visits.along(np.array([first, last]))
+        n_nodes = max(self.N_NODES, int(np.ptp(flown[:, 0]) / self.SECONDS_PER_NODE))
+        nodes = np.union1d(ends, np.linspace(first, last, n_nodes, dtype=int))
         match_m, match_rad = self._config.match_position_sigma_m, self._config.match_yaw_sigma_rad
         return (nodes, np.searchsorted(nodes, ends), np.square([match_m, match_m, match_rad]),
                 np.square([self._odometry.yaw_bias_rad_s, self._odometry.translation_drift]))

@@ -64,10 +64,10 @@ ARRAYS = {
     'odometry_stamp_ns': Array('<i8', (1,), 'of the last odometry that was used'),
     'odometry': Array('<f8', (6,), 'it: x, y, yaw, z, roll, pitch'),
     'robot_track': Array('<f8', (3,), 'the robot by odometry alone'),
-    'robot_start': Array('<f8', (8,), 'where it set out: from the visit that it stands by, by '
-                         'odometry alone, in seconds and in metres flown'),
+    'robot_start': Array('<f8', (7,), 'where it set out: from the visit that it stands by, by '
+                         'odometry alone, and in seconds in motion'),
     'robot_stand': Array('<i8', (1,), 'that visit; -1 for the last one'),
-    'robot_flown': Array('<f8', (3,), 'seconds, metres and breaks of odometry so far'),
+    'robot_flown': Array('<f8', (3,), 'seconds in motion, metres, breaks so far'),
     'robot_drift': Array('<f8', (4,), 'deviations at the last anchor in m, rad; m, s since'),
     'yaw_rate_errors': Array('<f8', ('segments',), 'of odometry, in rad/s, up to each break'),
     'run_counts': Array('<i8', (2,), 'runs of matches there were, and were taken back'),

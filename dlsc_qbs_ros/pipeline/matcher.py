@@ -135,15 +135,17 @@ class Matcher:
         score, config = scores.long, self._config
         lowest = min(config.threshold, config.tracking_threshold)
         in_reach, is_tracked = self._gate((score >= lowest) & (scores.last >= lowest))
+        cells = np.flatnonzero(in_reach)
         near, far = np.where(
-            scores.is_whole,
+            scores.is_whole[cells],
             [[config.tracking_threshold], [config.threshold]], [[config.threshold], [inf]])
-        needed = np.where(is_tracked, near, far)
-        candidates = np.flatnonzero(in_reach & (score >= needed))
+        needed = np.where(is_tracked[cells], near, far)
+        candidates = np.flatnonzero(score[cells] >= needed)
         if not len(candidates):
             return None, False
-        best = int(candidates[np.argmax(score[candidates])])
-        match = Match(best, bool(needed[best] == far[best]))
+        chosen = candidates[np.argmax(score[cells[candidates]])]
+        best = int(cells[chosen])
+        match = Match(best, bool(needed[chosen] == far[chosen]))
         return match, (self._is_ambiguous(best, score, in_reach, self._length) if match.is_jump
                        else self._is_outdone(best, score))
 
