@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.core.experience_map import ExperienceMap
-from dlsc_qbs_ros.core.geometry import between, compose, wrap_angle
+from dlsc_qbs_ros.core.geometry import between, between_rows, compose, wrap_angle
 from dlsc_qbs_ros.core.rows import Rows
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
@@ -52,6 +52,11 @@ def literal_relaxation(experience_map, alpha=0.5, sweeps=4000):
             change[b] -= error
         poses += share[:, None] * change
     return poses
+
+
+def from_first(poses):
+    """Return poses in the frame of the first: a map as a whole may lie anywhere."""
+    return between_rows(np.repeat(poses[:1], len(poses), axis=0), poses)
 
 
 # The graph
@@ -118,9 +123,8 @@ def test_relaxation_ends_where_that_of_ratslam_ends(seed):
     experience_map = random_graph(seed)
     expected = literal_relaxation(experience_map)
     experience_map.relax(ENOUGH)
-    np.testing.assert_allclose(experience_map.poses[:, :2], expected[:, :2], atol=2e-3)
     np.testing.assert_allclose(
-        wrap_angle(experience_map.poses[:, 2] - expected[:, 2]), 0.0, atol=2e-3)
+        from_first(experience_map.poses), from_first(expected), atol=3e-3)
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -146,12 +150,11 @@ def test_a_map_without_contradictions_stays_put():
 
 
 @pytest.mark.parametrize('n_steps', [1, 5, ENOUGH])
-def test_the_centroid_stays_put_each_experience_counted_by_its_links(n_steps):
+def test_the_centroid_stays_put(n_steps):
     experience_map = random_graph(1)
-    weights = degrees(experience_map)
-    before = weights @ experience_map.poses[:, :2]
+    before = experience_map.poses[:, :2].mean(axis=0)
     experience_map.relax(n_steps)
-    np.testing.assert_allclose(weights @ experience_map.poses[:, :2], before, atol=1e-9)
+    np.testing.assert_allclose(experience_map.poses[:, :2].mean(axis=0), before, atol=1e-9)
 
 
 def test_a_loop_shares_the_gap_among_its_links():
@@ -161,8 +164,8 @@ def test_a_loop_shares_the_gap_among_its_links():
         [(0, 1, (1, 0, 0)), (1, 2, (0, 1, 0)), (2, 3, (-1, 0, 0)), (3, 0, (0.4, -1, 0))])
     experience_map.relax(ENOUGH)
     np.testing.assert_allclose(
-        experience_map.poses,
-        [(0.15, 0, 0), (1.05, 0, 0), (0.95, 1, 0), (-0.15, 1, 0)], atol=1e-3)
+        from_first(experience_map.poses),
+        [(0, 0, 0), (0.9, 0, 0), (0.8, 1, 0), (-0.3, 1, 0)], atol=1e-3)
 
 
 def test_a_loop_of_turns_shares_the_turn_that_is_missing():
@@ -255,7 +258,7 @@ def test_sweeps_and_the_solved_map_end_in_the_same_place(seed):
     swept, solved = random_graph(seed), random_graph(seed)
     swept.sweep(4000)
     solved.relax(ENOUGH)
-    np.testing.assert_allclose(swept.poses[:, :2], solved.poses[:, :2], atol=2e-3)
+    np.testing.assert_allclose(from_first(swept.poses), from_first(solved.poses), atol=3e-3)
 
 
 def test_sweeps_leave_a_map_without_contradictions_and_one_without_links():

@@ -11,6 +11,8 @@ from .geometry import wrap_angle
 # Below this correction, in metres and radians, a map is relaxed.
 TOLERANCE = 1e-4
 MAX_STEPS = 300
+# A turn of a pose counts like the way of a point so far ahead of it.
+ARM_M = 1.0
 
 
 def relaxation(poses: np.ndarray, links: np.ndarray, motions: np.ndarray
@@ -20,7 +22,8 @@ def relaxation(poses: np.ndarray, links: np.ndarray, motions: np.ndarray
 
     RatSLAM's relaxation moves both ends of each link by a share of its error, again and again.
     Its fixed point solves two linear systems with the graph's Laplacian, first for the facings,
-    then for the positions given these. Neither fixes the mean of what is joined: it stays.
+    then for the positions given these. Neither tells where what is joined lies as a whole: there
+    where its poses change least.
 
     Parameters
     ----------
@@ -34,7 +37,7 @@ def relaxation(poses: np.ndarray, links: np.ndarray, motions: np.ndarray
     """
     graph = Laplacian(links, len(poses))
     origin, target = links.T
-    poses = poses.copy()
+    before, poses = poses, poses.copy()
     turn = wrap_angle(poses[target, 2] - poses[origin, 2] - motions[:, 2])
     correction = yield from graph.solve(turn[:, None])
     poses[:, 2] = wrap_angle(poses[:, 2] - correction[:, 0])
@@ -44,7 +47,7 @@ def relaxation(poses: np.ndarray, links: np.ndarray, motions: np.ndarray
     error = poses[target, :2] - poses[origin, :2] - predicted
     correction = yield from graph.solve(error)
     poses[:, :2] -= correction
-    yield poses
+    yield _laid_onto(before, poses, components(links, len(poses)))
 
 
 class Laplacian:
@@ -67,14 +70,13 @@ class Laplacian:
             n = n // 2 + 1
             self._diagonals.append(_diagonal(*links.T, stride, n))
             stride *= 2
-        self._part = components(links, n_nodes)
 
     def solve(self, link_errors: np.ndarray) -> Iterator[None]:
         """
         Find the correction (n, k) of every node that best explains the links' errors (l, k).
 
-        Yield after each step and return the correction. Its mean, each node counted by its
-        links, is zero over all that are joined.
+        Yield after each step and return the correction, which a constant over all that are joined
+        leaves as good.
         """
         x = np.zeros((self._n, link_errors.shape[1]))
         residual = self._gather(link_errors)
@@ -92,7 +94,7 @@ class Laplacian:
             previous, energy = energy, np.sum(residual * conditioned, axis=0)
             direction = conditioned + _ratio(energy, previous) * direction
             yield
-        return x - self._mean(x)
+        return x
 
     def _gather(self, per_link: np.ndarray) -> np.ndarray:
         """Return B^T times values per link."""
@@ -111,12 +113,21 @@ class Laplacian:
             total += fine / diagonal[:, None]
         return total
 
-    def _mean(self, x: np.ndarray) -> np.ndarray:
-        degree = self._diagonals[0]
-        weights = np.maximum(np.bincount(self._part, degree), 1.0)
-        return np.column_stack([
-            np.bincount(self._part, degree * column) / weights for column in x.T
-        ])[self._part]
+
+def _laid_onto(before: np.ndarray, poses: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Return poses (n, 3), each part moved as one to where, by least squares, it was before."""
+    n = np.maximum(np.bincount(part), 1)
+
+    def mean(values):
+        of_parts = (np.bincount(part, values.real) + 1j * np.bincount(part, values.imag)) / n
+        return of_parts[part]
+
+    now, then = (rows[:, 0] + 1j * rows[:, 1] for rows in (poses, before))
+    now, middle = now - mean(now), mean(then)
+    turned = np.conj(now) * (then - middle) + ARM_M ** 2 * np.exp(1j * (before - poses)[:, 2])
+    turn = np.angle(mean(turned))
+    now = middle + now * np.exp(1j * turn)
+    return np.column_stack([now.real, now.imag, wrap_angle(poses[:, 2] + turn)])
 
 
 def components(links: np.ndarray, n_nodes: int) -> np.ndarray:
