@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.core.consistency import (
-    Chain, contradiction, deviations, surprises, yaw_rate_errors)
-from dlsc_qbs_ros.core.drift import straightened
+    calibration, Chain, contradiction, deviations, surprises)
+from dlsc_qbs_ros.core.drift import rectified
 from dlsc_qbs_ros.core.geometry import between, between_rows, compose, compose_rows, wrap_angle
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
@@ -110,8 +110,34 @@ def test_what_a_closure_says_of_the_yaw_rate_is_shared_with_the_match_by_their_v
     """A robot that turns on the spot by 0.1 rad in each of 4 s, which it does not in truth."""
     motions = np.tile([0.0, 0.0, 0.1], (4, 1))
     chain = Chain(path(motions), motions, np.ones(4), np.full((4, 3), 1e-12))
-    errors = yaw_rate_errors(chain, np.array([[0, 4]]), MATCH, np.array([0.02, 0.0]))
-    assert errors == pytest.approx([0.1 * 0.32 / (0.32 + 0.01)])
+    (yaw_rate, scale), = calibration(chain, np.array([[0, 4]]), MATCH, np.array([0.02, 0.0]))
+    assert yaw_rate == pytest.approx(0.1 * 0.32 / (0.32 + 0.01))
+    assert scale == 0.0
+
+
+def out_and_back(scales):
+    """Return a chain 10 m out and back again, each way by an odometry that tells too much."""
+    motions = np.repeat([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], 10, axis=0)
+    motions[:, 0] *= np.repeat(scales, 10)
+    return Chain(path(motions), motions, np.ones(20), np.full((20, 3), 1e-12),
+                 np.repeat([0, 1], 10))
+
+
+def test_scales_are_told_by_how_much_segments_differ():
+    """
+    A gap of 10 m times 0.1, scales of variance 0.01 and a match of 0.02.
+
+    Ways out and back of w and 1 - w of all metres differ by 10 m (a + b) / 2 and so on: with the
+    mean taken out, the gap goes by the difference of the scales alone, d of variance 0.02, with
+    the lever 11 m (1 - w) + 10 m w = 22 * 10 / 21 m.
+    """
+    chain = out_and_back([1.1, 1.0])
+    errors = calibration(chain, np.array([[0, 20]]), MATCH, np.array([0.0, 0.01]))
+    lever = 2 * 11 * 10 / 21
+    apart = 1.0 * lever * 0.02 / (lever ** 2 * 0.02 + MATCH[0])
+    np.testing.assert_allclose(errors[:, 0], 0.0, atol=1e-12)
+    assert errors[0, 1] - errors[1, 1] == pytest.approx(apart)
+    assert 11 * errors[0, 1] + 10 * errors[1, 1] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_closures_of_separate_stretches_do_not_touch_each_other():
@@ -144,13 +170,14 @@ def test_the_yaw_rate_errs_by_what_it_was_made_to_in_each_segment(bias):
     chain = Chain(path(motions), motions, np.ones(2 * n + 5), variances, segments)
     lap = n // 2
     ends = np.array([[k, k + lap] for k in (*range(1, lap, 4), *range(n + 1, n + lap, 4))])
-    errors = yaw_rate_errors(chain, ends, MATCH, np.array([1e-4, 1e-4]))
-    assert errors == pytest.approx([bias, -0.5 * bias, 0.0], abs=2e-3)
+    errors = calibration(chain, ends, MATCH, np.array([1e-4, 1e-4]))
+    assert errors[:, 0] == pytest.approx([bias, -0.5 * bias, 0.0], abs=2e-3)
 
 
 def test_without_that_error_the_path_is_what_was_flown():
     chain, truth = laps(1, noise=1e-9, bias=0.01)
-    straight = straightened(chain.motions, np.full(len(chain.motions), 0.01))
+    n = len(chain.motions)
+    straight = rectified(chain.motions, np.full(n, 0.01), np.zeros(n))
     np.testing.assert_allclose(path(straight)[:, :2], truth[:, :2], atol=0.3)
     assert np.abs(chain.poses[:, :2] - truth[:, :2]).max() > 1.5
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import OdometryConfig
-from dlsc_qbs_ros.core.drift import Drift, straightened
+from dlsc_qbs_ros.core.drift import Drift, rectified
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
 CONFIG = OdometryConfig(translation_drift=0.03, yaw_bias_rad_s=0.01, yaw_noise=0.02)
@@ -84,7 +84,7 @@ def test_what_it_were_after_more_odometry_is_what_more_odometry_makes_it():
 def test_half_a_turn_too_far_on_the_way_led_aside_by_a_quarter():
     """And a motion that turned by no more than it should is as it was."""
     np.testing.assert_allclose(
-        straightened(np.array([[2.0, 0.0, pi], [1.0, 2.0, 0.3]]), np.array([pi, 0.0])),
+        rectified(np.array([[2.0, 0.0, pi], [1.0, 2.0, 0.3]]), np.array([pi, 0.0]), np.zeros(2)),
         [[0.0, -2.0, 0.0], [1.0, 2.0, 0.3]], atol=1e-12)
 
 
@@ -94,4 +94,9 @@ def test_an_arc_that_was_none_is_straight():
         c, s = np.cos(pose[2]), np.sin(pose[2])
         pose += (c * x - s * y, s * x + c * y, turn)
     np.testing.assert_allclose(
-        straightened(pose[None], np.array([0.2]))[0], [5.0, 0.0, 0.0], atol=0.01)
+        rectified(pose[None], np.array([0.2]), np.zeros(1))[0], [5.0, 0.0, 0.0], atol=0.01)
+
+
+def test_a_motion_that_was_told_too_long_is_shorter_and_turns_as_far():
+    np.testing.assert_allclose(
+        rectified(np.array([[2.0, -1.0, 0.3]]), np.zeros(1), np.array([0.1])), [[1.8, -0.9, 0.3]])

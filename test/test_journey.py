@@ -255,10 +255,10 @@ def test_other_runs_stay_as_they_are():
     made = strayed()
     meet(made, [STEP], [12])
     create(made, [STEP] * 4)
-    made.visits.calibrate(np.zeros(1))
+    made.visits.calibrate(np.zeros((1, 2)))
     after = links(made)
     made.undo(1)
-    made.visits.calibrate(np.zeros(1))  # to see the motions as odometry told them
+    made.visits.calibrate(np.zeros((1, 2)))  # to see the motions as odometry told them
     kept = {pair: motion for pair, motion in links(made).items() if pair in after}
     assert (47, 12) in kept and (12, 48) in kept
     assert all(after[pair] == pytest.approx(motion) for pair, motion in kept.items())
@@ -345,7 +345,7 @@ def lap_and_a_half(**changes):
 
 def test_the_yaw_rate_is_corrected_in_every_motion_before_and_after():
     made = lap_and_a_half()
-    error, = made.visits.odometry.yaw_rate_errors
+    (error, _), = made.visits.odometry.errors
     assert error == pytest.approx(BIAS, rel=0.15)
     motions = links(made)
     create(made, TURNED[20:22])
@@ -356,7 +356,7 @@ def test_the_yaw_rate_is_corrected_in_every_motion_before_and_after():
 
 def test_so_is_the_way_from_the_last_visit_to_here():
     made = lap_and_a_half()
-    error, = made.visits.odometry.yaw_rate_errors
+    (error, _), = made.visits.odometry.errors
     made.move(STEP, 1.0)
     assert made.visits.place().offset == pytest.approx((1.0, -0.5 * error, -error), abs=1e-4)
 
@@ -377,15 +377,15 @@ def test_what_is_made_there_agrees_with_its_link():
 def test_an_error_that_barely_changes_leaves_the_map_alone():
     made = lap_and_a_half()
     before = made.visits.map.motions.copy()
-    made.visits.calibrate(made.visits.odometry.yaw_rate_errors + 0.9 * made.visits.BARELY)
+    made.visits.calibrate(made.visits.odometry.errors + 0.9 * np.array(made.visits.BARELY))
     np.testing.assert_array_equal(made.visits.map.motions, before)
-    made.visits.calibrate(made.visits.odometry.yaw_rate_errors + 1.1 * made.visits.BARELY)
+    made.visits.calibrate(made.visits.odometry.errors + 1.1 * np.array(made.visits.BARELY))
     assert (made.visits.map.motions != before).any()
 
 
 def test_without_an_error_motions_are_those_of_the_odometry():
     made, straight = lap_and_a_half(), journey(TURNED)
-    made.visits.calibrate(np.zeros(1))
+    made.visits.calibrate(np.zeros((1, 2)))
     assert all(links(made)[pair] == pytest.approx(motion)
                for pair, motion in links(straight).items())
 
@@ -397,8 +397,8 @@ def test_after_a_break_nothing_is_known_of_the_odometry():
     create(made, TURNED[:1])
     assert links(made)[41, 42] == pytest.approx(TURNED[0])
     made.take_stock()
-    assert made.visits.odometry.yaw_rate_errors[0] == pytest.approx(BIAS, rel=0.15)
-    assert not made.visits.odometry.yaw_rate_errors[1:].any()
+    assert made.visits.odometry.errors[0, 0] == pytest.approx(BIAS, rel=0.15)
+    assert not made.visits.odometry.errors[1:, 0].any()
 
 
 def test_what_is_known_of_the_odometry_moves_the_map_at_once_and_the_robot_in_it():
@@ -408,7 +408,7 @@ def test_what_is_known_of_the_odometry_moves_the_map_at_once_and_the_robot_in_it
     made.visits.map.relax(1000)
     before = made.visits.map.poses.copy()
     made.take_stock()
-    error, = made.visits.odometry.yaw_rate_errors
+    (error, _), = made.visits.odometry.errors
     assert made.visits.place().offset == pytest.approx((1.0, -0.5 * error, -error), abs=1e-4)
     made.visits.map.relax(1000)
     assert np.abs(made.visits.map.poses - before).max() > 0.01
@@ -417,7 +417,7 @@ def test_what_is_known_of_the_odometry_moves_the_map_at_once_and_the_robot_in_it
 def test_a_relaxation_under_way_ends_though_what_is_known_changes_again_and_again():
     made = lap_and_a_half()
     made.visits.map.relax(1)
-    before, error = made.visits.map.poses.copy(), made.visits.odometry.yaw_rate_errors
+    before, error = made.visits.map.poses.copy(), made.visits.odometry.errors
     for k in range(40):
         made.visits.calibrate(error * (0.5 + k % 2))
         made.visits.map.relax(1)
@@ -428,9 +428,9 @@ def test_a_gap_that_a_run_left_is_bridged_by_what_is_known_in_the_end():
     made = journey(TURNED)
     meet(made, TURNED[:4], (11, 12, 13, 14))
     create(made, TURNED[4:6])
-    made.visits.calibrate(np.array([0.3]))
+    made.visits.calibrate(np.array([[0.3, 0.0]]))
     made.undo(1)
-    made.visits.calibrate(np.zeros(1))
+    made.visits.calibrate(np.zeros((1, 2)))
     flown = journey(TURNED + TURNED[:5])
     assert links(made)[40, 41] == pytest.approx(
         between(*(flown.visits.map.pose(k) for k in (40, 45))))
@@ -454,7 +454,7 @@ def test_odometry_that_holds_still_errs_by_nothing_meanwhile(seconds):
         create(made, TURNED[21:24])
         made.take_stock()
     assert still.visits.pose() == flown.visits.pose()
-    assert still.visits.odometry.yaw_rate_errors == flown.visits.odometry.yaw_rate_errors
+    np.testing.assert_array_equal(still.visits.odometry.errors, flown.visits.odometry.errors)
 
 
 def test_the_error_is_known_after_hours_too():
@@ -465,13 +465,46 @@ def test_the_error_is_known_after_hours_too():
         made.move(turned[k % 40], 1.0)
         made.visits.add(k % 40 + 1, IDENTITY, 1)
     made.take_stock()
-    assert made.visits.odometry.yaw_rate_errors == pytest.approx([0.03], rel=0.02)
+    assert made.visits.odometry.errors[0, 0] == pytest.approx(0.03, rel=0.02)
 
 
 def test_a_run_taken_back_tells_nothing_of_the_odometry():
     made = lap_and_a_half()
     made.undo(1)
-    assert made.visits.odometry.yaw_rate_errors.tolist() == [0.0]
+    assert made.visits.odometry.errors.tolist() == [[0.0, 0.0]]
+
+
+def carried_off(scale):
+    """Return a journey round a square twice, and then again by odometry of another scale."""
+    made = journey(SQUARE)
+    meet(made, SQUARE, range(1, 41))
+    made.break_off()
+    made.move(IDENTITY, 0.0)
+    made.meet(0, IDENTITY)
+    longer = [Pose2(scale * x, y, yaw) for x, y, yaw in SQUARE]
+    meet(made, longer, [*range(1, 40), 0])
+    meet(made, longer[:20], range(1, 21))
+    made.take_stock()
+    return made
+
+
+def test_odometry_of_another_scale_is_brought_to_one_with_the_rest():
+    """Neither is known to be right: the metres of both together stay what they were."""
+    made = carried_off(1.1)
+    (_, before), (_, after) = made.visits.odometry.errors
+    assert (1.1 * (1.0 - after)) / (1.0 - before) == pytest.approx(1.0, abs=0.02)
+    assert 80 * before + 66 * after == pytest.approx(0.0, abs=0.05)
+    made.move(Pose2(1.1, 0.0, 0.0), 1.0)
+    assert made.visits.place().offset.x_m == pytest.approx(1.1 * (1.0 - after))
+
+
+@pytest.mark.parametrize('scale', [0.9, 1.1])
+def test_of_one_odometry_no_scale_is_known(scale):
+    longer = [Pose2(scale * x, y, yaw) for x, y, yaw in SQUARE]
+    made = journey(longer)
+    meet(made, longer, range(1, 41))
+    made.take_stock()
+    assert not made.visits.odometry.errors[:, 1].any()
 
 
 # What was flown while lost

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import Config
-from dlsc_qbs_ros.core.drift import straightened
+from dlsc_qbs_ros.core.drift import rectified
 from dlsc_qbs_ros.core.geometry import between, compose
 from dlsc_qbs_ros.core.sequence import SequenceScore
 from dlsc_qbs_ros.core.types import (
@@ -274,13 +274,13 @@ def test_poses_do_not_wait_for_the_views_of_a_loaded_map_to_be_encoded():
 
 def followed(ratslam, poses):
     """Return the last of the poses by odometry, less the error that the map has told of it."""
-    error, = ratslam.mapper.visits.odometry.yaw_rate_errors
-    assert abs(error) > 1e-4
+    (error, scale), = ratslam.mapper.visits.odometry.errors
+    assert abs(error) > 1e-4 and scale == 0.0
     pose = poses[0].pose
     for last, now in zip(poses, poses[1:]):
         motion = np.array([between(last.odometry.pose, now.odometry.pose)])
         turn_rad = error * (now.stamp_ns - last.stamp_ns) * 1e-9
-        pose = compose(pose, Pose2(*straightened(motion, np.array([turn_rad]))[0]))
+        pose = compose(pose, Pose2(*rectified(motion, np.array([turn_rad]), np.zeros(1))[0]))
     return pose
 
 
@@ -500,8 +500,9 @@ def with_value(value, at=0):
     ('looks', with_value(10**7), 'stations and view cells'),
     ('look_likenesses', lambda array: array[:, 1:], 'the shape'),
     ('robot_stand', with_value(10**6), 'a visit'),
-    ('yaw_rate_errors', with_value(-1e3), 'errors of segments'),
-    ('yaw_rate_errors', lambda errors: np.append(errors, 0.0), 'errors of segments'),
+    ('odometry_errors', with_value(-1e3), 'errors of segments'),
+    ('odometry_errors', lambda errors: errors + (0.0, 1.5), 'errors of segments'),
+    ('odometry_errors', lambda errors: np.vstack([errors, (0.0, 0.0)]), 'errors of segments'),
     ('robot_drift', with_value(-1.0), 'none below 0'),
     ('put_segments', lambda array: np.array([[0, 9]]), 'segments there were'),
     ('pose_cells', lambda array: 0.0 * array, 'some activity'),

@@ -84,16 +84,20 @@ def surprises(chain: Chain, ends: np.ndarray, variances: np.ndarray,
     ndarray of shape (n_runs,)
 
     """
-    _, multipliers, information = _solution(chain, ends, variances, calibration_variances)
+    _, multipliers, information = _solution(
+        chain, _by_calibration(chain), ends, variances, calibration_variances)
     row_runs = np.repeat(runs, 3)
     return np.array([_fall(multipliers[mine], information[np.ix_(mine, mine)])
                      for mine in (row_runs == run for run in range(runs.max() + 1))])
 
 
-def yaw_rate_errors(chain: Chain, ends: np.ndarray, variances: np.ndarray,
-                    calibration_variances: np.ndarray) -> np.ndarray:
+def calibration(chain: Chain, ends: np.ndarray, variances: np.ndarray,
+                calibration_variances: np.ndarray) -> np.ndarray:
     """
-    Return what the closures tell of the odometry's constant error of yaw rate, by segment.
+    Return what the closures tell of the odometry's constant errors, by segment.
+
+    The scale that all segments share is told by none: a smaller map has smaller contradictions,
+    and would always win. Only how they differ counts, about their mean over the metres.
 
     Parameters
     ----------
@@ -102,19 +106,22 @@ def yaw_rate_errors(chain: Chain, ends: np.ndarray, variances: np.ndarray,
 
     Returns
     -------
-    ndarray of shape (n_segments,)
-        In rad/s, too much to the left, of the segments that the chain names, in order.
+    ndarray of shape (n_segments, 2)
+        Of the yaw rate in rad/s, too much to the left, and of the scale, as a share, too long;
+        of the segments that the chain names, in order.
 
     """
-    calibration, *_ = _solution(chain, ends, variances, calibration_variances)
-    return calibration[::2]
+    relative = _relative(chain)
+    errors, *_ = _solution(chain, _by_calibration(chain) @ relative, ends, variances,
+                           calibration_variances)
+    return (relative @ errors).reshape(-1, 2)
 
 
-def _solution(chain: Chain, ends: np.ndarray, variances: np.ndarray,
+def _solution(chain: Chain, by_calibration: np.ndarray, ends: np.ndarray, variances: np.ndarray,
               calibration_variances: np.ndarray
               ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the errors of yaw rate and scale, by segment, l and K^-1; see `surprises`."""
-    by_calibration, prior = _unknowns(chain, calibration_variances)
+    prior = _prior(chain, by_calibration, calibration_variances)
     poses = chain.poses
     for _ in range(N_ITERATIONS):
         by_motion = _jacobian(poses, ends)
@@ -126,10 +133,10 @@ def _solution(chain: Chain, ends: np.ndarray, variances: np.ndarray,
         covariance = spread @ jacobian.T + np.diag(np.tile(variances, len(ends)))
         information = np.linalg.inv(covariance)
         multipliers = information @ errors
-        noise, calibration = np.split(spread.T @ multipliers, [changes.size])
-        change = noise + by_calibration @ calibration
+        noise, constant = np.split(spread.T @ multipliers, [changes.size])
+        change = noise + by_calibration @ constant
         poses = _path(poses[0], chain.motions + change.reshape(-1, 3))
-    return calibration, multipliers, information
+    return constant, multipliers, information
 
 
 def deviations(chain: Chain, ends: np.ndarray, variances: np.ndarray,
@@ -156,7 +163,8 @@ def deviations(chain: Chain, ends: np.ndarray, variances: np.ndarray,
         The deviations of the position along either axis, and of the heading.
 
     """
-    by_calibration, prior = _unknowns(chain, calibration_variances)
+    by_calibration = _by_calibration(chain)
+    prior = _prior(chain, by_calibration, calibration_variances)
     by_closure, by_node = (
         np.hstack([by_motion, by_motion @ by_calibration]) for by_motion in (
             _jacobian(chain.poses, pairs)
@@ -185,11 +193,26 @@ def _fall(multipliers: np.ndarray, information: np.ndarray) -> float:
     return float(multipliers @ np.linalg.solve(information, multipliers))
 
 
-def _unknowns(chain: Chain, calibration_variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return `_by_calibration` and the variances of all unknowns."""
-    by_calibration = _by_calibration(chain)
-    return by_calibration, np.concatenate([chain.variances.ravel(), np.tile(
-        calibration_variances, by_calibration.shape[1] // 2)])
+def _prior(chain: Chain, by_calibration: np.ndarray, calibration_variances: np.ndarray
+           ) -> np.ndarray:
+    """Return the variances of all unknowns."""
+    n_segments = by_calibration.shape[1] // 2
+    return np.concatenate([chain.variances.ravel(), np.tile(calibration_variances, n_segments)])
+
+
+def _relative(chain: Chain) -> np.ndarray:
+    """Return the matrix that takes from the segments' scales their mean over the metres."""
+    _, segments = _segments(chain)
+    metres = np.bincount(segments, np.hypot(*chain.motions[:, :2].T))
+    relative = np.eye(2 * len(metres))
+    relative[1::2, 1::2] -= metres / max(metres.sum(), 1e-9)
+    return relative
+
+
+def _segments(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """Return the names of the segments, and which of these each motion is of."""
+    segments = np.zeros(len(chain.motions)) if chain.segments is None else chain.segments
+    return np.unique(segments, return_inverse=True)
 
 
 def _by_calibration(chain: Chain) -> np.ndarray:
@@ -198,8 +221,8 @@ def _by_calibration(chain: Chain) -> np.ndarray:
     half = 0.5 * chain.seconds
     of_all = np.stack([np.column_stack([half * y, -half * x, -chain.seconds]),
                        np.column_stack([-x, -y, np.zeros_like(x)])], axis=2)
-    segments = np.zeros_like(x) if chain.segments is None else chain.segments
-    is_of = segments[:, None] == np.unique(segments)
+    names, segments = _segments(chain)
+    is_of = segments[:, None] == np.arange(len(names))
     return np.einsum('nij,ns->nisj', of_all, is_of).reshape(3 * len(x), -1)
 
 

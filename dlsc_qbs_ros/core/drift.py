@@ -26,7 +26,8 @@ def seconds_in_motion(motion: Pose2, seconds: float) -> float:
     return seconds if moves or abs(motion.yaw_rad) > STILL_RAD_S * seconds else 0.0
 
 
-def straightened(motions: np.ndarray, turns_rad: np.ndarray) -> np.ndarray:
+def rectified(motions: np.ndarray, turns_rad: np.ndarray, scale_errors: np.ndarray
+              ) -> np.ndarray:
     """
     Return motions of an odometry that turned too far on the way, and evenly, without that turn.
 
@@ -36,6 +37,8 @@ def straightened(motions: np.ndarray, turns_rad: np.ndarray) -> np.ndarray:
         In metres and radians. Each should be straight, or turn evenly, itself.
     turns_rad : ndarray of shape (n,)
         By how much each turned too far to the left.
+    scale_errors : ndarray of shape (n,)
+        By which share of itself each is too long.
 
     Returns
     -------
@@ -44,7 +47,8 @@ def straightened(motions: np.ndarray, turns_rad: np.ndarray) -> np.ndarray:
     """
     x, y, yaw = motions.T
     c, s = np.cos(0.5 * turns_rad), np.sin(0.5 * turns_rad)
-    return np.column_stack([c * x + s * y, c * y - s * x, wrap_angle(yaw - turns_rad)])
+    x, y = (1.0 - scale_errors) * (c * x + s * y), (1.0 - scale_errors) * (c * y - s * x)
+    return np.column_stack([x, y, wrap_angle(yaw - turns_rad)])
 
 
 class Drift:

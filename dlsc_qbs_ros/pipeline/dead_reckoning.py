@@ -1,4 +1,4 @@
-"""Where the robot is by odometry alone, and less the error of its yaw rate that closures tell."""
+"""Where the robot is by odometry alone, and less the constant errors that closures tell."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from math import hypot
 
 import numpy as np
 
-from ..core.drift import seconds_in_motion, straightened
+from ..core.drift import rectified, seconds_in_motion
 from ..core.geometry import between, compose
 from ..core.types import IDENTITY, Pose2, Track
 
@@ -23,15 +23,16 @@ class DeadReckoning:
         The seconds in motion, metres and breaks of odometry up to here.
     since : Pose2
         Where the robot is in the frame that it set out from: the motion since then is calibrated.
-    yaw_rate_errors : ndarray of shape (n_segments,)
-        In rad/s, of the segments between breaks; 0 of those after the last one.
+    errors : ndarray of shape (n_segments, 2)
+        Of the yaw rate, in rad/s, and of the scale, of the segments between breaks; 0 of those
+        after the last one.
 
     """
 
     def __init__(self):
         self.here = self.since = IDENTITY
         self.flown = np.zeros(3)
-        self.yaw_rate_errors = np.zeros(0)
+        self.errors = np.zeros((0, 2))
         # Where and when the robot set out, and where it was then by odometry alone.
         self._start, self._start_here, self._start_s = IDENTITY, IDENTITY, 0.0
 
@@ -40,7 +41,7 @@ class DeadReckoning:
         return {
             'robot_track': np.array(self.here), 'robot_flown': self.flown.copy(),
             'robot_start': np.array([*self._start, *self._start_here, self._start_s]),
-            'yaw_rate_errors': self.yaw_rate_errors.copy()}
+            'odometry_errors': self.errors.copy()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on from what `state` returned."""
@@ -48,7 +49,7 @@ class DeadReckoning:
         self.flown = state['robot_flown'].copy()
         *numbers, self._start_s = state['robot_start'].tolist()
         self._start, self._start_here = Pose2(*numbers[:3]), Pose2(*numbers[3:])
-        self.calibrate(state['yaw_rate_errors'])
+        self.calibrate(state['odometry_errors'])
 
     def track(self) -> Track:
         """Return where the robot is by odometry alone."""
@@ -75,21 +76,21 @@ class DeadReckoning:
         """Take the way so far as it is: what is yet to come may turn on it."""
         self.set_out(self.since)
 
-    def calibrate(self, yaw_rate_errors: np.ndarray) -> None:
-        """Go on with other errors of the yaw rate, (n_segments,)."""
-        self.yaw_rate_errors = yaw_rate_errors.copy()
+    def calibrate(self, errors: np.ndarray) -> None:
+        """Go on with other errors of yaw rate and scale, (n_segments, 2)."""
+        self.errors = errors.copy()
         self._go_on()
 
     def calibrated(self, motions: np.ndarray, seconds: np.ndarray, segments: np.ndarray
                    ) -> np.ndarray:
-        """Return motions of the odometry, (n, 3), less the error of its yaw rate."""
-        errors = np.append(self.yaw_rate_errors, 0.0)
-        return straightened(motions, seconds * errors[
-            np.minimum(segments.astype(int), len(errors) - 1)])
+        """Return motions of the odometry, (n, 3), less its errors."""
+        errors = np.vstack([self.errors, np.zeros(2)])
+        yaw_rate, scale = errors[np.minimum(segments.astype(int), len(errors) - 1)].T
+        return rectified(motions, seconds * yaw_rate, scale)
 
     def calibrated_here(self, motion: Pose2, seconds: float) -> Pose2:
-        """Return a motion of the odometry of this segment, less the error of its yaw rate."""
-        if not len(self.yaw_rate_errors):
+        """Return a motion of the odometry of this segment, less its errors."""
+        if not len(self.errors):
             return motion
         motion, = self.calibrated(np.array([motion]), np.array([seconds]), self.flown[2:])
         return Pose2(*motion.tolist())

@@ -16,7 +16,7 @@ class Follower:
     """
     Carries the mapper's last correction, and the drift since then, along with the odometry.
 
-    The error of its yaw rate, as far as the map has told, is taken out. Where odometry breaks, it
+    Its constant errors, as far as the map has told, are taken out. Where odometry breaks, it
     goes on from the last pose until a code tells better. In a map that was loaded, the first
     odometry is taken for what the map was left with, if it may be that.
     """

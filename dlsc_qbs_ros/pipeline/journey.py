@@ -10,7 +10,7 @@ import numpy as np
 from .pieces import Pieces
 from .visits import Visits
 from ..config import Config
-from ..core.consistency import Chain, contradiction, deviations, yaw_rate_errors
+from ..core.consistency import calibration, Chain, contradiction, deviations
 from ..core.drift import Drift
 from ..core.geometry import between, between_rows, compose
 from ..core.types import Pose2
@@ -160,12 +160,12 @@ class Journey:
         self._survey(closures)
 
     def _calibrate(self, closures: tuple[np.ndarray, ...] | None) -> None:
-        """Take out of the odometry what closures tell of the error of its yaw rate."""
-        errors = np.zeros(int(self.visits.odometry.flown[2]) + 1)
+        """Take out of the odometry what closures tell of its constant errors."""
+        errors = np.zeros((int(self.visits.odometry.flown[2]) + 1, 2))
         if closures is not None:
             nodes, *closures = closures
             chain = self._chain(nodes, self.BREAK_VARIANCE)
-            errors[np.unique(chain.segments).astype(int)] = yaw_rate_errors(chain, *closures)
+            errors[np.unique(chain.segments).astype(int)] = calibration(chain, *closures)
         self.visits.calibrate(errors)
 
     def survey(self) -> None:

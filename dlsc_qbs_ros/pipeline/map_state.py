@@ -16,7 +16,7 @@ SHAPING = ('encoder.input', 'encoder.mode', 'encoder.n_atoms', 'patches.size',
            'patches.cells_x', 'patches.cells_y', 'pose_cells.size_xy', 'pose_cells.cell_size_m')
 LARGEST = 1e12  # seconds too, of a clock that was set from 1970 to now
 MAX_BREAKS = 1e6
-MAX_YAW_RATE = 100.0  # rad/s
+MAX_ERRORS = np.array([100.0, 1.0])  # of the odometry: rad/s, and as a share
 MAX_STATIONS = 1e6  # as many views as a run may have, each after a gap, are not half of it
 
 
@@ -69,7 +69,7 @@ ARRAYS = {
     'robot_stand': Array('<i8', (1,), 'that visit; -1 for the last one'),
     'robot_flown': Array('<f8', (3,), 'seconds in motion, metres, breaks so far'),
     'robot_drift': Array('<f8', (4,), 'deviations at the last anchor in m, rad; m, s since'),
-    'yaw_rate_errors': Array('<f8', ('segments',), 'of odometry, in rad/s, up to each break'),
+    'odometry_errors': Array('<f8', ('segments', 2), 'of yaw rate, in rad/s, and of scale'),
     'run_counts': Array('<i8', (2,), 'runs of matches there were, and were taken back'),
     'run_metres': Array('<f8', (3,), 'flown at its start, at its next test, at the last match'),
 }
@@ -134,8 +134,8 @@ def _check_sense(state: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None
             ('dictionaries', all(map(np.any, state['dictionaries'])), 'atoms that are not all 0'),
             ('visit_flown', (np.diff(flown, axis=0) >= 0.0).all() and breaks[-1] <= MAX_BREAKS
              and (breaks == np.floor(breaks)).all(), 'what never falls, in whole breaks'),
-            ('yaw_rate_errors', sizes['segments'] <= breaks[-1] + 1
-             and _within(state['yaw_rate_errors'], -MAX_YAW_RATE, MAX_YAW_RATE),
+            ('odometry_errors', sizes['segments'] <= breaks[-1] + 1
+             and _within(state['odometry_errors'], -MAX_ERRORS, MAX_ERRORS),
              'errors of segments there were'),
             ('put_segments', _within(state['put_segments'], 0, breaks[-1]), 'segments there were'),
             ('visit_runs', _within(state['visit_runs'], 0, state['run_counts'][0])
@@ -151,7 +151,7 @@ def _check_sense(state: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None
         _require(holds, name, expected)
 
 
-def _within(array: np.ndarray, low: float, high: float) -> bool:
+def _within(array: np.ndarray, low: float | np.ndarray, high: float | np.ndarray) -> bool:
     """Whether all values are within bounds; one that is not a number is not."""
     return bool(((array >= low) & (array <= high)).all())
 

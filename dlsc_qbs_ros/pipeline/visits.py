@@ -42,7 +42,7 @@ class Visits:
     A visit creates an experience or meets an old one, and is linked to the visit before it,
     unless odometry broke in between. Visits can be taken back: their links go, odometry bridges
     the gap, and what was created after them moves along. Motions are those of the odometry, less
-    the error of its yaw rate as far as that is known.
+    its constant errors as far as these are known.
 
     Attributes
     ----------
@@ -60,8 +60,9 @@ class Visits:
 
     """
 
-    # Smaller changes of what is known of the yaw rate, in rad/s, leave the map as it is.
-    BARELY = 1e-4
+    # Smaller changes of what is known of the yaw rate, in rad/s, and of the scale leave the map
+    # as it is.
+    BARELY = 1e-4, 1e-3
 
     def __init__(self):
         self.map = ExperienceMap()
@@ -118,14 +119,14 @@ class Visits:
         self._stand = int(self.birth.values[experience])
         self.odometry.set_out(offset)
 
-    def calibrate(self, yaw_rate_errors: np.ndarray) -> None:
-        """Take other errors of the odometry's yaw rate, (n_segments,), out of all motions."""
-        before = self.odometry.yaw_rate_errors
-        changes = yaw_rate_errors.copy()
+    def calibrate(self, errors: np.ndarray) -> None:
+        """Take other errors of yaw rate and scale, (n_segments, 2), out of all motions."""
+        before = self.odometry.errors
+        changes = errors.copy()
         changes[:len(before)] -= before
-        if np.abs(changes).max(initial=0.0) < self.BARELY:
+        if (np.abs(changes) < self.BARELY).all():
             return
-        self.odometry.calibrate(yaw_rate_errors)
+        self.odometry.calibrate(errors)
         is_created = self.birth.values[self.experience.values] == np.arange(len(self.run.values))
         for visit in np.flatnonzero((self.run.values == 0) & ~is_created).tolist():
             self._offset.values[visit] = self._arrival(visit)  # taken back: odometry led there
