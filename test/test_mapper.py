@@ -135,7 +135,7 @@ def test_a_drone_that_hovers_adds_nothing():
 
 
 def test_ten_minutes_of_hovering_and_swaying_add_a_handful_of_view_cells():
-    """By 0.1 m and 0.05 rad, with the views of the places that it sways to."""
+    """By 0.1 m and 0.05 rad, with the views of the places that it sways to, 3000 of them."""
     rng = np.random.default_rng(0)
     waves, phase = rng.normal(size=(128, 3)) / (0.5, 0.5, 0.4), rng.uniform(0.0, 6.3, 128)
     sway = np.zeros(3)
@@ -149,8 +149,8 @@ def test_ten_minutes_of_hovering_and_swaying_add_a_handful_of_view_cells():
         robot.drive([between(before, here)], [np.maximum(np.cos(waves @ sway + phase), 0.0)],
                     measured=[between(before, here)])
         before = here
-    assert len(robot.mapper.view_cells) <= 22
-    assert len(robot.mapper.map) <= 22
+    assert len(robot.mapper.view_cells) <= 25
+    assert len(robot.mapper.map) <= 25
 
 
 def test_without_matches_the_pose_is_that_of_the_odometry():

@@ -39,7 +39,7 @@ class Matcher:
     # short a run shows a place, too, where paths meet for a moment, if it is more alike than a
     # whole one must be by this share of the leeway.
     SHORTEST_RUN = 4
-    SURENESS = 0.25
+    SURENESS = 0.1
     # By this share of the leeway, a place where odometry did not expect the robot must be more
     # alike than any other in reach.
     LEAD = 0.5
