@@ -123,8 +123,8 @@ class OdometryConfig(Section):
         50.0, 'a faster step is a jump and starts a new segment', unit='m/s',
         bounds=(0.1, 1000.0), live=True)
     translation_drift: float = parameter(
-        0.03, 'deviation of the distance flown, per metre', unit='m/m', bounds=(0.0, 1.0),
-        live=True)
+        0.03, 'deviation of the distance flown, per metre, and of its scale; 0: none', unit='m/m',
+        bounds=(0.0, 1.0), live=True)
     yaw_bias_rad_s: float = parameter(
         0.012, 'deviation of a constant error of the yaw rate, before closures tell it; 0: none',
         unit='rad/s', bounds=(0.0, 1.0), live=True)

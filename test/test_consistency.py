@@ -110,7 +110,8 @@ def test_what_a_closure_says_of_the_yaw_rate_is_shared_with_the_match_by_their_v
     """A robot that turns on the spot by 0.1 rad in each of 4 s, which it does not in truth."""
     motions = np.tile([0.0, 0.0, 0.1], (4, 1))
     chain = Chain(path(motions), motions, np.ones(4), np.full((4, 3), 1e-12))
-    (yaw_rate, scale), = calibration(chain, np.array([[0, 4]]), MATCH, np.array([0.02, 0.0]))
+    (yaw_rate, scale), = calibration(
+        chain, np.array([[0, 4]]), MATCH, np.array([0.02, 0.0]), np.ones(1))
     assert yaw_rate == pytest.approx(0.1 * 0.32 / (0.32 + 0.01))
     assert scale == 0.0
 
@@ -123,21 +124,21 @@ def out_and_back(scales):
                  np.repeat([0, 1], 10))
 
 
-def test_scales_are_told_by_how_much_segments_differ():
+@pytest.mark.parametrize('share', [0.0, 0.5, 0.7, 1.0])
+def test_scales_are_told_by_how_much_segments_differ(share):
     """
-    A gap of 10 m times 0.1, scales of variance 0.01 and a match of 0.02.
+    Out by 11 m and back by 10 m, which leaves a gap of 1 m.
 
-    Ways out and back of w and 1 - w of all metres differ by 10 m (a + b) / 2 and so on: with the
-    mean taken out, the gap goes by the difference of the scales alone, d of variance 0.02, with
-    the lever 11 m (1 - w) + 10 m w = 22 * 10 / 21 m.
+    With the mean of the scales taken out, that goes by their difference alone, of variance
+    2 * 0.01, with a lever of 11 m by as much as the one gives in and of 10 m by the other.
     """
-    chain = out_and_back([1.1, 1.0])
-    errors = calibration(chain, np.array([[0, 20]]), MATCH, np.array([0.0, 0.01]))
-    lever = 2 * 11 * 10 / 21
-    apart = 1.0 * lever * 0.02 / (lever ** 2 * 0.02 + MATCH[0])
+    chain, shares = out_and_back([1.1, 1.0]), np.array([share, 1.0 - share])
+    errors = calibration(chain, np.array([[0, 20]]), MATCH, np.array([0.0, 0.01]), shares)
+    lever_m = 11.0 * (1.0 - share) + 10.0 * share
+    apart = 1.0 * lever_m * 0.02 / (lever_m ** 2 * 0.02 + MATCH[0])
     np.testing.assert_allclose(errors[:, 0], 0.0, atol=1e-12)
     assert errors[0, 1] - errors[1, 1] == pytest.approx(apart)
-    assert 11 * errors[0, 1] + 10 * errors[1, 1] == pytest.approx(0.0, abs=1e-12)
+    assert shares @ errors[:, 1] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_closures_of_separate_stretches_do_not_touch_each_other():
@@ -170,7 +171,7 @@ def test_the_yaw_rate_errs_by_what_it_was_made_to_in_each_segment(bias):
     chain = Chain(path(motions), motions, np.ones(2 * n + 5), variances, segments)
     lap = n // 2
     ends = np.array([[k, k + lap] for k in (*range(1, lap, 4), *range(n + 1, n + lap, 4))])
-    errors = calibration(chain, ends, MATCH, np.array([1e-4, 1e-4]))
+    errors = calibration(chain, ends, MATCH, np.array([1e-4, 1e-4]), np.full(3, 1 / 3))
     assert errors[:, 0] == pytest.approx([bias, -0.5 * bias, 0.0], abs=2e-3)
 
 

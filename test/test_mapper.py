@@ -135,7 +135,7 @@ def test_a_drone_that_hovers_adds_nothing():
 
 
 def test_ten_minutes_of_hovering_and_swaying_add_a_handful_of_view_cells():
-    """By 0.1 m and 0.05 rad, with the views of the places that it sways to, 3000 of them."""
+    """By 0.1 m and 0.05 rad, in 3000 views of the places that it sways to."""
     rng = np.random.default_rng(0)
     waves, phase = rng.normal(size=(128, 3)) / (0.5, 0.5, 0.4), rng.uniform(0.0, 6.3, 128)
     sway = np.zeros(3)

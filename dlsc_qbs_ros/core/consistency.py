@@ -92,17 +92,19 @@ def surprises(chain: Chain, ends: np.ndarray, variances: np.ndarray,
 
 
 def calibration(chain: Chain, ends: np.ndarray, variances: np.ndarray,
-                calibration_variances: np.ndarray) -> np.ndarray:
+                calibration_variances: np.ndarray, shares: np.ndarray) -> np.ndarray:
     """
     Return what the closures tell of the odometry's constant errors, by segment.
 
-    The scale that all segments share is told by none: a smaller map has smaller contradictions,
-    and would always win. Only how they differ counts, about their mean over the metres.
+    The scale that all segments have in common is told by none: a smaller map has smaller
+    contradictions, and would always win. Only how they differ counts, about a mean.
 
     Parameters
     ----------
     chain, ends, variances, calibration_variances
         As in `surprises`.
+    shares : ndarray of shape (n_segments,)
+        By which each counts in the mean of the scales, of 1 in all.
 
     Returns
     -------
@@ -111,7 +113,7 @@ def calibration(chain: Chain, ends: np.ndarray, variances: np.ndarray,
         of the segments that the chain names, in order.
 
     """
-    relative = _relative(chain)
+    relative = _relative(shares)
     errors, *_ = _solution(chain, _by_calibration(chain) @ relative, ends, variances,
                            calibration_variances)
     return (relative @ errors).reshape(-1, 2)
@@ -200,19 +202,11 @@ def _prior(chain: Chain, by_calibration: np.ndarray, calibration_variances: np.n
     return np.concatenate([chain.variances.ravel(), np.tile(calibration_variances, n_segments)])
 
 
-def _relative(chain: Chain) -> np.ndarray:
-    """Return the matrix that takes from the segments' scales their mean over the metres."""
-    _, segments = _segments(chain)
-    metres = np.bincount(segments, np.hypot(*chain.motions[:, :2].T))
-    relative = np.eye(2 * len(metres))
-    relative[1::2, 1::2] -= metres / max(metres.sum(), 1e-9)
+def _relative(shares: np.ndarray) -> np.ndarray:
+    """Return the matrix that subtracts from the scale of each segment the mean of all."""
+    relative = np.eye(2 * len(shares))
+    relative[1::2, 1::2] -= shares
     return relative
-
-
-def _segments(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-    """Return the names of the segments, and which of these each motion is of."""
-    segments = np.zeros(len(chain.motions)) if chain.segments is None else chain.segments
-    return np.unique(segments, return_inverse=True)
 
 
 def _by_calibration(chain: Chain) -> np.ndarray:
@@ -221,8 +215,8 @@ def _by_calibration(chain: Chain) -> np.ndarray:
     half = 0.5 * chain.seconds
     of_all = np.stack([np.column_stack([half * y, -half * x, -chain.seconds]),
                        np.column_stack([-x, -y, np.zeros_like(x)])], axis=2)
-    names, segments = _segments(chain)
-    is_of = segments[:, None] == np.arange(len(names))
+    segments = np.zeros_like(x) if chain.segments is None else chain.segments
+    is_of = segments[:, None] == np.unique(segments)
     return np.einsum('nij,ns->nisj', of_all, is_of).reshape(3 * len(x), -1)
 
 

@@ -29,7 +29,7 @@ def seconds_in_motion(motion: Pose2, seconds: float) -> float:
 def rectified(motions: np.ndarray, turns_rad: np.ndarray, scale_errors: np.ndarray
               ) -> np.ndarray:
     """
-    Return motions of an odometry that turned too far on the way, and evenly, without that turn.
+    Return motions of an odometry that turned too far on the way, evenly, and told too much.
 
     Parameters
     ----------

@@ -22,8 +22,8 @@ def relaxation(poses: np.ndarray, links: np.ndarray, motions: np.ndarray
 
     RatSLAM's relaxation moves both ends of each link by a share of its error, again and again.
     Its fixed point solves two linear systems with the graph's Laplacian, first for the facings,
-    then for the positions given these. Neither tells where what is joined lies as a whole: there
-    where its poses change least.
+    then for the positions given these. Neither tells where what is joined lies as a whole: it is
+    laid where its poses change least.
 
     Parameters
     ----------

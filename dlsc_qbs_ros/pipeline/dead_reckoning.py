@@ -10,6 +10,9 @@ from ..core.drift import rectified, seconds_in_motion
 from ..core.geometry import between, compose
 from ..core.types import IDENTITY, Pose2, Track
 
+# No odometry errs by more than this: in rad/s, and as a share of what it tells.
+MAX_ERRORS = np.array([100.0, 0.9])
+
 
 class DeadReckoning:
     """
@@ -78,7 +81,7 @@ class DeadReckoning:
 
     def calibrate(self, errors: np.ndarray) -> None:
         """Go on with other errors of yaw rate and scale, (n_segments, 2)."""
-        self.errors = errors.copy()
+        self.errors = np.clip(errors, -MAX_ERRORS, MAX_ERRORS)
         self._go_on()
 
     def calibrated(self, motions: np.ndarray, seconds: np.ndarray, segments: np.ndarray

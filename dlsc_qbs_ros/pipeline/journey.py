@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from math import hypot
+from math import hypot, inf
 
 import numpy as np
 
@@ -40,6 +40,9 @@ class Journey:
     N_NODES = 100
     # In hours there are more nodes: from one to the next, no error of a yaw rate may turn far.
     SECONDS_PER_NODE = 60.0
+    # What tells of the odometry are closures no farther apart than so many runs of views: on
+    # longer ways, its noise hides its scale.
+    LONGEST_RUNS = 4.0
     # How well places are known is found for one node of so many, and interpolated in between.
     SURVEY_STEP = 3
     # Deviation of the position after one metre of odometry's random walk.
@@ -142,42 +145,52 @@ class Journey:
 
         With an experience, as if it were met here, by a run of its own, which is run 0.
         """
-        births, met = self.visits.birth.values, self.visits.experience.values
         visits = np.array(self._closures, np.int64)
-        runs, starts = self.visits.run.values[visits], births[met[visits]]
+        runs = self.visits.run.values[visits]
         if experience is not None:
-            visits, runs = np.append(visits, len(met)), np.append(runs, 0)
-            starts = np.append(starts, births[experience])
+            runs = np.append(runs, 0)
         names, groups = np.unique(runs, return_inverse=True)
-        nodes, *closures = self._closed(starts, visits)
+        nodes, *closures = self._closed(visits, experience)
         worst = contradiction(self._chain(nodes, self.BREAK_VARIANCE), *closures, groups)
         return None if worst is None else int(names[worst])
 
     def take_stock(self) -> None:
         """Learn from the closures that stand what they tell of the odometry and of the map."""
-        closures = self._all_closures()
-        self._calibrate(closures)
-        self._survey(closures)
+        self._calibrate()
+        self.survey()
 
-    def _calibrate(self, closures: tuple[np.ndarray, ...] | None) -> None:
-        """Take out of the odometry what closures tell of its constant errors."""
+    def _calibrate(self) -> None:
+        """
+        Take out of the odometry what closures tell of its constant errors.
+
+        Segments count in the mean of their scales by how much of the map they made: who meets
+        but what is there takes over its scale.
+        """
+        visits, births = self._met(), self.visits.birth.values
+        segment_of = self.visits.flown.values[:, 2].astype(int)
         errors = np.zeros((int(self.visits.odometry.flown[2]) + 1, 2))
-        if closures is not None:
-            nodes, *closures = closures
+        longest_m = (self.LONGEST_RUNS * self._config.sequence_length
+                     * self._config.keyframe_distance_m)
+        if len(visits):
+            segments = np.unique(segment_of[visits])[-self.MAX_CLOSURES:]
+            nodes, *closures = self._closed(np.concatenate([
+                self._newest(visits[segment_of[visits] == segment],
+                             self.MAX_CLOSURES // len(segments), longest_m)
+                for segment in segments]))
             chain = self._chain(nodes, self.BREAK_VARIANCE)
-            errors[np.unique(chain.segments).astype(int)] = calibration(chain, *closures)
+            names = np.unique(chain.segments).astype(int)
+            made = np.bincount(segment_of[births], minlength=len(errors))[names]
+            errors[names] = calibration(chain, *closures, made / max(made.sum(), 1))
         self.visits.calibrate(errors)
 
     def survey(self) -> None:
         """Find how well the closures make known where places are in the map as a whole."""
-        self._survey(self._all_closures())
-
-    def _survey(self, closures: tuple[np.ndarray, ...] | None) -> None:
         self._surveyed = None
-        if closures is None:
+        visits = self._met()
+        if not len(visits):
             return
-        nodes, *closures = closures
         births, met = self.visits.birth.values, self.visits.experience.values
+        nodes, *closures = self._closed(self._newest(visits, self.MAX_CLOSURES, inf))
         places = np.flatnonzero(births[met[nodes]] == nodes)[::self.SURVEY_STEP]
         # What broke was joined by a match, whether that is among these closures or not.
         chain = self._chain(nodes, self._config.match_position_sigma_m ** 2)
@@ -239,22 +252,28 @@ class Journey:
         self._closures = deque(
             [k for k in self._closures if self.visits.run.values[k]], self.MAX_CLOSURES)
 
-    def _all_closures(self) -> tuple[np.ndarray, ...] | None:
-        """Return what `_closed` does, of closures evenly along the flight; None if none is."""
+    def _met(self) -> np.ndarray:
+        """Return the visits that met old experiences, (n,)."""
+        return np.flatnonzero(self.visits.run.values)
+
+    def _newest(self, visits: np.ndarray, n: int, longest_m: float) -> np.ndarray:
+        """Return the first of visits in each of the newest stretches, about n of equal length."""
+        metres = self.visits.flown.values[visits, 1]
+        stretch_m = max(min(np.ptp(metres) / n, longest_m), self._config.min_path_m, 1e-9)
+        visits, metres = (rows[metres >= metres[-1] - n * stretch_m] for rows in (visits, metres))
+        return visits[np.unique(metres // stretch_m, return_index=True)[1]]
+
+    def _closed(self, visits: np.ndarray, experience: int | None = None
+                ) -> tuple[np.ndarray, ...]:
+        """
+        Return nodes on the path, the closures' ends among them and what both may err by.
+
+        With an experience, the robot meets that one here, after these visits.
+        """
         births, met = self.visits.birth.values, self.visits.experience.values
-        visits = np.flatnonzero(self.visits.run.values)
-        if not len(visits):
-            return None
-        visits = visits[self._evenly(self.visits.flown.values[visits, 1])]
-        return self._closed(births[met[visits]], visits)
-
-    def _evenly(self, metres: np.ndarray) -> np.ndarray:
-        """Return the first of closures at these path lengths, (n,), in each of equal stretches."""
-        stretch_m = max(self._config.min_path_m, np.ptp(metres) / self.MAX_CLOSURES, 1e-9)
-        return np.unique(metres // stretch_m, return_index=True)[1]
-
-    def _closed(self, starts: np.ndarray, visits: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return nodes on the path, the closures' ends among them and what both may err by."""
+        starts = births[met[visits]]
+        if experience is not None:
+            visits, starts = np.append(visits, len(met)), np.append(starts, births[experience])
         ends = np.column_stack([starts, visits])
         first, last = starts.min(), visits.max()
         _, _, flown = self.visits.along(np.array([first, last]))

@@ -6,6 +6,7 @@ from typing import Any, Mapping, NamedTuple
 
 import numpy as np
 
+from .dead_reckoning import MAX_ERRORS
 from ..config import Config
 from ..core.inputs import make_inputs
 from ..core.pose_cells import N_HEADINGS
@@ -16,7 +17,6 @@ SHAPING = ('encoder.input', 'encoder.mode', 'encoder.n_atoms', 'patches.size',
            'patches.cells_x', 'patches.cells_y', 'pose_cells.size_xy', 'pose_cells.cell_size_m')
 LARGEST = 1e12  # seconds too, of a clock that was set from 1970 to now
 MAX_BREAKS = 1e6
-MAX_ERRORS = np.array([100.0, 1.0])  # of the odometry: rad/s, and as a share
 MAX_STATIONS = 1e6  # as many views as a run may have, each after a gap, are not half of it
 
 
