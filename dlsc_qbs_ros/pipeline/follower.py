@@ -90,12 +90,15 @@ class Follower:
             self._last = odometry
         if self._last.segment != odometry.segment or self._mapper.place is None:
             return
-        self._map_T_odom = self._mapper.map_T_odom()
         self._drift = copy(self._mapper.drift)
         if not self._mapper.is_localised:
             self._drift.anchor(inf, inf)
-        self._drift.move(between(odometry.pose, self._last.pose),
-                         (self._last.stamp_ns - odometry.stamp_ns) * 1e-9)
+        seconds = (self._last.stamp_ns - odometry.stamp_ns) * 1e-9
+        motion = between(odometry.pose, self._last.pose)
+        self._drift.move(motion, seconds)
+        here = compose(self._mapper.pose(), self._mapper.visits.odometry.calibrated_here(
+            motion, seconds_in_motion(motion, seconds)))
+        self._map_T_odom = compose(here, invert(self._last.pose))
 
     def follow(self, sample: OdometrySample) -> PoseEstimate:
         """Go on to the next odometry sample and return its pose."""
