@@ -39,7 +39,8 @@ def topics(start, observer):
     """Give topic -> type of the live nodes, fed by a camera."""
     start('nodes.encoder_node', '--ros-args', '-r', 'image:=/camera/image_raw')
     start('nodes.ratslam_node')
-    awaited = {'/dictionary_image', '/experience_map', '/pose', '/odom'}
+    awaited = {'/camera/image_raw', '/view', '/learning', '/dictionary_image', '/diagnostics',
+               '/experience_map', '/path', '/pose', '/odom', '/initialpose'}
 
     def names():
         return {name: types[0] for name, types in observer.node.get_topic_names_and_types()}
