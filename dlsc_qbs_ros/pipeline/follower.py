@@ -93,11 +93,7 @@ class Follower:
         self._drift = copy(self._mapper.drift)
         if not self._mapper.is_localised:
             self._drift.anchor(inf, inf)
-        seconds = (self._last.stamp_ns - odometry.stamp_ns) * 1e-9
-        motion = between(odometry.pose, self._last.pose)
-        self._drift.move(motion, seconds)
-        here = compose(self._mapper.pose(), self._mapper.visits.odometry.calibrated_here(
-            motion, seconds_in_motion(motion, seconds)))
+        here = compose(self._mapper.pose(), self._flown(odometry, self._last))
         self._map_T_odom = compose(here, invert(self._last.pose))
 
     def follow(self, sample: OdometrySample) -> PoseEstimate:
@@ -112,15 +108,21 @@ class Follower:
 
     def _carry(self, last: OdometrySample, sample: OdometrySample) -> None:
         """Carry the drift along; where odometry breaks, go on from the last pose."""
-        mapper, here = self._mapper, compose(self._map_T_odom, last.pose)
+        here = compose(self._map_T_odom, last.pose)
         if last.segment == sample.segment and last.stamp_ns <= sample.stamp_ns:
-            motion = between(last.pose, sample.pose)
-            seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
-            self._drift.move(motion, seconds)
-            if mapper.odometry is not None and mapper.odometry.segment == sample.segment:
-                motion = mapper.visits.odometry.calibrated_here(
-                    motion, seconds_in_motion(motion, seconds))
+            motion = self._flown(last, sample)
             here, self._track = compose(here, motion), compose(self._track, motion)
         else:
             self._drift.anchor(inf, inf)
         self._map_T_odom = compose(here, invert(sample.pose))
+
+    def _flown(self, last: OdometrySample, sample: OdometrySample) -> Pose2:
+        """Carry the drift from one sample to the next; return the motion, less known errors."""
+        motion = between(last.pose, sample.pose)
+        seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
+        self._drift.move(motion, seconds)
+        mapped = self._mapper.odometry
+        if mapped is None or mapped.segment != sample.segment:
+            return motion
+        return self._mapper.visits.odometry.calibrated_here(
+            motion, seconds_in_motion(motion, seconds))
