@@ -131,6 +131,9 @@ class OdometryConfig(Section):
     yaw_noise: float = parameter(
         0.03, 'deviation of the heading after one second of random walk', unit='rad/sqrt(s)',
         bounds=(0.0, 1.0), live=True)
+    visual_gyro: bool = parameter(
+        False, 'take out the error of the yaw rate that views tell, of a camera that looks ahead',
+        live=True)
 
 
 @dataclass(frozen=True)

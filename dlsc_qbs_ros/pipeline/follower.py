@@ -125,4 +125,4 @@ class Follower:
         if mapped is None or mapped.segment != sample.segment:
             return motion
         return self._mapper.visits.odometry.calibrated_here(
-            motion, seconds_in_motion(motion, seconds))
+            self._mapper.gyro.corrected(motion, seconds), seconds_in_motion(motion, seconds))

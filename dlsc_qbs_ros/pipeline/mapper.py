@@ -11,6 +11,7 @@ import numpy as np
 from .journey import Journey
 from .matcher import Matcher
 from .packet import Packet
+from .visual_gyro import VisualGyro
 from .visits import Place
 from ..config import Config
 from ..core.drift import Drift
@@ -59,6 +60,7 @@ class Mapper:
         self.visits, self.drift = self.journey.visits, self.journey.drift
         self.map = self.visits.map
         self._matcher = Matcher(config, self.journey)
+        self.gyro = VisualGyro(config)
         self.is_mapping = True
         self.odometry: OdometrySample | None = None
         self._first_pose: Pose2 | None = None
@@ -69,6 +71,7 @@ class Mapper:
         """Go on with other values of `live` parameters; the map stays."""
         self._config = config.ratslam
         self.journey.reconfigure(config)
+        self.gyro.reconfigure(config)
         self._matcher.reconfigure(config)
 
     def update(self, odometry: OdometrySample, code: np.ndarray) -> bool:
@@ -188,7 +191,8 @@ class Mapper:
         if self.odometry is not None:
             seconds = (odometry.stamp_ns - self.odometry.stamp_ns) * 1e-9
             if odometry.segment == self.odometry.segment and seconds >= 0.0:
-                motion = between(self.odometry.pose, odometry.pose)
+                motion = self.gyro.corrected(
+                    between(self.odometry.pose, odometry.pose), seconds)
             else:
                 self.journey.break_off()
         seconds = max(seconds, 0.0)  # a clock that falls back makes nothing younger

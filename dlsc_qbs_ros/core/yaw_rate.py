@@ -1,0 +1,104 @@
+"""What the turns that views tell make of the error of the odometry's yaw rate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..config import OdometryConfig
+
+# Deviation of the focal length, as a share of the nominal one.
+FOCAL_SIGMA = 0.3
+# Of the turns that views tell: a constant error, in rad/s, what adds up in a second, and a share
+# of the turn.
+VISUAL_SIGMA_RAD_S, VISUAL_NOISE, TURN_SHARE = 0.003, 0.006, 0.15
+# The errors of neighbouring pixels go together: the deviation is so many times what they tell.
+TOGETHER = 3.0
+# An error of odometry stays about what it is for so long.
+STEADY_S = 300.0
+# For so long, the noise is taken for what is configured; then for what it was in as much time.
+NOISE_S = 2.0
+NOISE_MEMORY_S = 20.0
+# Times the nominal focal length, or a share of it as small: what would need more is no lens, but a
+# camera that looks elsewhere.
+LARGEST_SCALE = 2.5
+# More deviations than these are an outlier, of one pair of views, and no error of odometry.
+OUTLIER, LARGEST = 3.0, 3.0
+
+
+class YawRateError:
+    """
+    A Kalman filter of the error of the odometry's yaw rate, and of the camera's focal length.
+
+    A turn by odometry is y = scale * s + error * dt + noise, with s the turn as views tell it at
+    the nominal focal length. How large the noise is, is told by how far the turns are off.
+    """
+
+    def __init__(self, config: OdometryConfig):
+        self._state = np.array([1.0, 0.0])
+        self._covariance = np.diag([FOCAL_SIGMA ** 2, 0.0])
+        self._prior = self._noise = -1.0
+        self.reconfigure(config)
+
+    def reconfigure(self, config: OdometryConfig) -> None:
+        """Go on with the odometry; one of other deviations is another."""
+        known = self._prior, self._noise
+        self._prior = config.yaw_bias_rad_s ** 2
+        self._noise = config.yaw_noise ** 2 + VISUAL_NOISE ** 2
+        if (self._prior, self._noise) != known:
+            self.restart()
+
+    def restart(self) -> None:
+        """Begin with another odometry; the camera stays."""
+        self._state[1] = 0.0
+        self._covariance[1] = self._covariance[:, 1] = 0.0
+        self._covariance[1, 1] = self._prior
+        self._seen_s, self._seen = NOISE_S, self._noise * NOISE_S
+
+    @property
+    def scale(self) -> float:
+        """Return the nominal focal length over the true one."""
+        return float(self._state[0])
+
+    def rad_s(self) -> float:
+        """Return the error, too much to the left; 0 where views and odometry just contradict."""
+        error = float(self._state[1])
+        is_lens = 1.0 / LARGEST_SCALE < self.scale < LARGEST_SCALE
+        if not is_lens or error ** 2 >= LARGEST ** 2 * self._prior:
+            return 0.0
+        return error * self._prior / (self._prior + VISUAL_SIGMA_RAD_S ** 2)
+
+    def update(self, turn_rad: float, visual_rad: float, sigma_rad: float, seconds: float) -> None:
+        """
+        Take in a turn by odometry, and the same as views tell it with the nominal focal length.
+
+        Parameters
+        ----------
+        turn_rad, visual_rad : float
+            To the left.
+        sigma_rad : float
+            Deviation of the second, if the errors of the pixels were independent.
+        seconds : float
+            How long it took.
+
+        """
+        keep = np.exp(-seconds / STEADY_S)
+        self._state[1] *= keep
+        self._covariance[1] *= keep
+        self._covariance[:, 1] *= keep
+        self._covariance[1, 1] += (1.0 - keep ** 2) * self._prior
+        by_state = np.array([visual_rad, seconds])
+        noise = self._seen / self._seen_s
+        variance = (noise * seconds + (TURN_SHARE * self.scale * visual_rad) ** 2
+                    + (TOGETHER * sigma_rad) ** 2)
+        spread = self._covariance @ by_state
+        innovation = turn_rad - by_state @ self._state
+        total = variance + by_state @ spread
+        limit = OUTLIER * np.sqrt(total)
+        gain = spread / total
+        self._state += gain * np.clip(innovation, -limit, limit)
+        self._state[0] = np.clip(self._state[0], 1.0 / LARGEST_SCALE, LARGEST_SCALE)
+        self._covariance -= np.outer(gain, spread)
+        fade = np.exp(-seconds / NOISE_MEMORY_S)
+        self._seen_s = fade * self._seen_s + seconds
+        self._seen = fade * self._seen + max(
+            noise * min(innovation ** 2 / total, OUTLIER ** 2), VISUAL_NOISE ** 2) * seconds

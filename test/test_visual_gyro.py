@@ -1,0 +1,147 @@
+"""Turns as views tell them, and what they make of the odometry's yaw rate."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dlsc_qbs_ros.config import Config, OdometryConfig
+from dlsc_qbs_ros.core.types import OdometrySample, Pose2
+from dlsc_qbs_ros.core.visual_turn import prepare, shift_between
+from dlsc_qbs_ros.core.yaw_rate import YawRateError
+from dlsc_qbs_ros.pipeline.visual_gyro import VisualGyro
+
+ROWS, COLUMNS, FOCAL_PX = 32, 43, 26.0
+STILL = 0.0, 0.0, 0.0
+ON = Config().override({'odometry.visual_gyro': True})
+
+
+def panorama(yaw_rad):
+    """Return what a camera that only turns sees of far, smooth surroundings, uint8."""
+    rng = np.random.default_rng(0)
+    x = np.arange(COLUMNS) - (COLUMNS - 1) / 2
+    y = np.arange(ROWS)[:, None] - (ROWS - 1) / 2
+    bearing = yaw_rad - np.arctan2(x, FOCAL_PX)
+    slope = y / np.hypot(x, FOCAL_PX)
+    waves = sum(np.sin(k * bearing + m * slope + phase) for k, m, phase in zip(
+        rng.integers(5, 15, 12), rng.uniform(-9.0, 9.0, 12), rng.uniform(0.0, 6.3, 12)))
+    return np.clip(128 + 20 * waves, 0, 255).astype(np.uint8)
+
+
+def shift(turn_rad, guess_rad):
+    before, after = (prepare(panorama(yaw)) for yaw in (0.3, 0.3 + turn_rad))
+    return shift_between(before, after, STILL, guess_rad, FOCAL_PX)
+
+
+@pytest.mark.parametrize('turn_rad', [-0.12, -0.03, 0.0, 0.01, 0.08])
+@pytest.mark.parametrize('guess_error_rad', [-0.01, 0.0, 0.01])
+def test_a_turn_is_told_whatever_odometry_takes_it_for(turn_rad, guess_error_rad):
+    shift_px, sigma_px = shift(turn_rad, turn_rad + guess_error_rad)
+    assert shift_px == pytest.approx(FOCAL_PX * turn_rad, abs=0.06)
+    assert 0.0 < sigma_px < 0.1
+
+
+def test_brighter_and_flatter_is_no_turn():
+    view = panorama(0.3)
+    dimmed = (0.5 * view + 40).astype(np.uint8)
+    shift_px, _ = shift_between(prepare(view), prepare(dimmed), STILL, 0.0, FOCAL_PX)
+    assert shift_px == pytest.approx(0.0, abs=0.02)
+
+
+def test_a_turn_too_large_for_the_view_is_not_told():
+    assert shift(0.05, 0.5) is None
+
+
+@pytest.mark.parametrize('view', [
+    np.full((ROWS, COLUMNS), 7, np.uint8), np.zeros((8, 64), np.uint8),
+    np.zeros((64, 8), np.uint8)])
+def test_a_view_without_anything_in_it_tells_nothing(view):
+    assert prepare(view) is None
+
+
+def test_a_large_view_is_averaged_down():
+    large = np.kron(panorama(0.1), np.ones((3, 3))).astype(np.uint8)
+    np.testing.assert_allclose(prepare(large), prepare(panorama(0.1)), atol=1e-3)
+
+
+def filtered(bias_rad_s, focal=1.0, seconds=60.0, prior=0.012):
+    """Return the filter after a flight of straights and bends, by an odometry so wrong."""
+    rng = np.random.default_rng(1)
+    error, dt = YawRateError(OdometryConfig(yaw_bias_rad_s=prior, yaw_noise=0.03)), 0.1
+    for k in range(round(seconds / dt)):
+        turn = 0.1 if k % 120 < 15 else 0.0
+        error.update(turn + bias_rad_s * dt + rng.normal(0.0, 0.004),
+                     focal * turn + rng.normal(0.0, 0.001), 0.0, dt)
+    return error
+
+
+@pytest.mark.parametrize('bias_rad_s', [-0.012, 0.0, 0.02])
+@pytest.mark.parametrize('focal', [0.8, 1.0, 1.3])
+def test_the_error_and_the_lens_are_told_apart(bias_rad_s, focal):
+    error = filtered(bias_rad_s, focal)
+    assert error.rad_s() == pytest.approx(bias_rad_s, abs=0.004)
+    assert error.scale == pytest.approx(1.0 / focal, rel=0.05)
+
+
+def test_an_odometry_that_is_sure_of_its_yaw_rate_is_left_alone():
+    assert filtered(0.01, prior=0.0).rad_s() == 0.0
+
+
+def test_views_that_contradict_odometry_are_not_believed():
+    assert filtered(0.3).rad_s() == 0.0
+
+
+def test_another_odometry_begins_without_an_error_but_with_the_lens():
+    error = filtered(0.012, focal=1.3)
+    error.restart()
+    assert error.rad_s() == 0.0
+    assert error.scale == pytest.approx(1.0 / 1.3, rel=0.05)
+
+
+def test_an_odometry_of_other_deviations_is_another():
+    config = OdometryConfig(yaw_bias_rad_s=0.012, yaw_noise=0.03)
+    error = filtered(0.012, focal=1.3)
+    told = error.rad_s()
+    error.reconfigure(config)
+    assert error.rad_s() == told
+    error.reconfigure(replace(config, yaw_noise=0.02))
+    assert error.rad_s() == 0.0
+    assert error.scale == pytest.approx(1.0 / 1.3, rel=0.05)
+
+
+@pytest.mark.parametrize('focal', [-1.0, 0.0, 100.0])
+def test_whatever_views_tell_both_are_bounded(focal):
+    error = filtered(0.012, focal)
+    assert 0.4 <= error.scale <= 2.5
+    assert abs(error.rad_s()) < 3 * 0.012
+
+
+@pytest.mark.parametrize('focal', [3.5, 8.0])
+def test_views_that_no_lens_explains_are_not_believed(focal):
+    """As of a camera that looks to the side: its way looks like a turn."""
+    assert filtered(0.012, focal).rad_s() == 0.0
+
+
+def looked(config, bias_rad_s=0.012):
+    """Turn to and fro on the spot, with an odometry so wrong."""
+    gyro, yaw = VisualGyro(config), 0.0
+    for k in range(300):
+        yaw += 0.03 * np.sin(k / 9)
+        gyro.look(panorama(yaw), OdometrySample(
+            k * 100_000_000, Pose2(0.0, 0.0, yaw + bias_rad_s * 0.1 * k)))
+    return gyro
+
+
+def test_the_error_is_taken_out_of_motions_while_they_last():
+    gyro = looked(ON)
+    motion = gyro.corrected(Pose2(1.0, 0.0, 0.1), 1.0)
+    assert motion.yaw_rad == pytest.approx(0.1 - 0.012, abs=0.004)
+    assert gyro.corrected(Pose2(0.0, 0.0, 0.0), 5.0) == Pose2(0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize('values', [
+    {'odometry.visual_gyro': False}, {'ratslam.backend': 'published'},
+    {'odometry.yaw_bias_rad_s': 0.0}])
+def test_where_it_is_not_wanted_motions_stay(values):
+    motion = Pose2(1.0, 0.2, 0.1)
+    assert looked(ON.override(values)).corrected(motion, 1.0) == pytest.approx(motion)
