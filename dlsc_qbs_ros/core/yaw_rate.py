@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import sqrt
+
 import numpy as np
 
 from ..config import OdometryConfig
@@ -47,6 +50,17 @@ class YawRateError:
         if (self._prior, self._noise) != known:
             self.restart()
 
+    def state(self) -> np.ndarray:
+        """Return what `restore` takes, (7,)."""
+        return np.array([*self._state, *self._covariance[np.triu_indices(2)],
+                         self._seen, self._seen_s])
+
+    def restore(self, state: np.ndarray) -> None:
+        """Go on from what `state` returned."""
+        self._state = state[:2].copy()
+        self._covariance = np.array([state[2:4], state[3:5]])
+        self._seen, self._seen_s = state[5:].tolist()
+
     def restart(self) -> None:
         """Begin with another odometry; the camera stays."""
         self._state[1] = 0.0
@@ -56,16 +70,33 @@ class YawRateError:
 
     @property
     def scale(self) -> float:
-        """Return the nominal focal length over the true one."""
-        return float(self._state[0])
+        """Return the nominal focal length over the true one, as far as that may be a lens."""
+        return min(max(float(self._state[0]), 1.0 / LARGEST_SCALE), LARGEST_SCALE)
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the views agree with some lens, and with odometry but for a small error."""
+        scale, error = self._state
+        return bool(scale == self.scale and error ** 2 < LARGEST ** 2 * self._prior)
 
     def rad_s(self) -> float:
-        """Return the error, too much to the left; 0 where views and odometry just contradict."""
+        """
+        Return the error, too much to the left; 0 where it is not told.
+
+        What may be an error of the views alone is none of the odometry: that of a compass stays.
+        """
         error = float(self._state[1])
-        is_lens = 1.0 / LARGEST_SCALE < self.scale < LARGEST_SCALE
-        if not is_lens or error ** 2 >= LARGEST ** 2 * self._prior:
+        if not self.is_told or abs(error) <= VISUAL_SIGMA_RAD_S:
             return 0.0
-        return error * self._prior / (self._prior + VISUAL_SIGMA_RAD_S ** 2)
+        return error - VISUAL_SIGMA_RAD_S ** 2 / error
+
+    def left(self, config: OdometryConfig) -> OdometryConfig:
+        """Return what is left to be said of the odometry, less that error: never more."""
+        if not self.is_told:
+            return config
+        sigma_rad_s = sqrt(self._covariance[1, 1] + VISUAL_SIGMA_RAD_S ** 2)
+        return replace(config, yaw_bias_rad_s=min(sigma_rad_s, config.yaw_bias_rad_s),
+                       yaw_noise=min(sqrt(self._seen / self._seen_s), config.yaw_noise))
 
     def update(self, turn_rad: float, visual_rad: float, sigma_rad: float, seconds: float) -> None:
         """
@@ -96,9 +127,10 @@ class YawRateError:
         limit = OUTLIER * np.sqrt(total)
         gain = spread / total
         self._state += gain * np.clip(innovation, -limit, limit)
-        self._state[0] = np.clip(self._state[0], 1.0 / LARGEST_SCALE, LARGEST_SCALE)
         self._covariance -= np.outer(gain, spread)
+        # What this pair makes of the noise, as far as it is that by which the turns differ.
+        share = noise * seconds / total
+        seen = noise * (1.0 + share * (min(innovation ** 2 / total, OUTLIER ** 2) - 1.0))
         fade = np.exp(-seconds / NOISE_MEMORY_S)
         self._seen_s = fade * self._seen_s + seconds
-        self._seen = fade * self._seen + max(
-            noise * min(innovation ** 2 / total, OUTLIER ** 2), VISUAL_NOISE ** 2) * seconds
+        self._seen = fade * self._seen + max(seen, VISUAL_NOISE ** 2) * seconds

@@ -21,7 +21,7 @@ from .disk import replacement, sync
 from ..errors import MapError
 
 FORMAT = 'dlsc_qbs_ros map'
-VERSION = 3
+VERSION = 4
 HEADER = 'map.json'
 SUFFIX = '.npy'
 

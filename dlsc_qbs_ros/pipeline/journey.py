@@ -9,7 +9,7 @@ import numpy as np
 
 from .pieces import Pieces
 from .visits import Visits
-from ..config import Config
+from ..config import Config, OdometryConfig
 from ..core.consistency import calibration, Chain, contradiction, deviations
 from ..core.drift import Drift
 from ..core.geometry import between, between_rows, compose
@@ -73,6 +73,10 @@ class Journey:
         """Go on with other values of `live` parameters."""
         self._config, self._odometry = config.ratslam, config.odometry
         self.drift.reconfigure(config.odometry)
+
+    def believe(self, odometry: OdometryConfig) -> None:
+        """Hold closures against an odometry that is known better."""
+        self._odometry = odometry
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what `restore` takes, by the names in `map_state.ARRAYS`."""

@@ -63,6 +63,8 @@ ARRAYS = {
     'pose_cells': Array('<f8', ('headings', 'size_xy', 'size_xy'), 'their activity'),
     'odometry_stamp_ns': Array('<i8', (1,), 'of the last odometry that was used'),
     'odometry': Array('<f8', (6,), 'it: x, y, yaw, z, roll, pitch'),
+    'gyro': Array('<f8', (7,), 'the lens, the error of the yaw rate in rad/s, the variance of the '
+                  'one, of both, of the other, and the noise seen: in rad^2, in seconds'),
     'robot_track': Array('<f8', (3,), 'the robot by odometry alone'),
     'robot_start': Array('<f8', (7,), 'where it set out: from the visit that it stands by, by '
                          'odometry alone, and in seconds in motion'),
@@ -144,11 +146,18 @@ def _check_sense(state: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None
             ('run_counts', _within(state['run_counts'], 0, LARGEST), 'counts'),
             ('link_makers', _within(state['link_makers'], -1, sizes['visits'] - 1), 'visits'),
             ('robot_stand', _within(state['robot_stand'], -1, sizes['visits'] - 1), 'a visit'),
+            ('gyro', _is_gyro(*state['gyro']), 'variances and a noise'),
             ('robot_drift', _within(state['robot_drift'], 0.0, LARGEST), 'none below 0'),
             ('view_cell_decays', _within(state['view_cell_decays'], 0.0, LARGEST), 'a decay'),
             ('pose_cells', _within(state['pose_cells'], 0.0, LARGEST)
              and state['pose_cells'].sum() > 1e-9, 'some activity, none below 0')):
         _require(holds, name, expected)
+
+
+def _is_gyro(scale, error_rad_s, of_scale, of_both, of_error, seen, seen_s) -> bool:
+    """Whether `YawRateError` can go on from this."""
+    return (min(of_scale, of_error) >= 0.0 < min(seen, seen_s)
+            and of_both ** 2 <= of_scale * of_error)
 
 
 def _within(array: np.ndarray, low: float | np.ndarray, high: float | np.ndarray) -> bool:

@@ -126,6 +126,7 @@ class Mapper:
         return {
             'odometry_stamp_ns': np.array([last.stamp_ns]),
             'odometry': np.array([*last.pose, last.z_m, last.roll_rad, last.pitch_rad]),
+            'gyro': self.gyro.error.state(),
             **self.packet.state(), **self.journey.state(), **self._matcher.state()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -134,6 +135,7 @@ class Mapper:
         self.odometry = self._keyframe = OdometrySample(
             int(state['odometry_stamp_ns'][0]), Pose2(*pose), z_m, roll_rad, pitch_rad,
             self.PAST_SEGMENT)
+        self.gyro.error.restore(state['gyro'])
         self.packet.restore(state)
         self.journey.restore(state)
         self._matcher.restore(state)
@@ -195,8 +197,10 @@ class Mapper:
                     between(self.odometry.pose, odometry.pose), seconds)
             else:
                 self.journey.break_off()
+                self.gyro.error.restart()
         seconds = max(seconds, 0.0)  # a clock that falls back makes nothing younger
         self.odometry = odometry
+        self.journey.believe(self.gyro.odometry())
         self.journey.move(motion, seconds)
         if self._first_pose is not None:
             self._first_pose = compose(self._first_pose, motion)

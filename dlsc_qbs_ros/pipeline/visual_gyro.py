@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..config import Config
+from ..config import Config, OdometryConfig
 from ..core.drift import rectified, seconds_in_motion
 from ..core.geometry import between
 from ..core.types import OdometrySample, Pose2
@@ -17,6 +17,12 @@ class VisualGyro:
     Compares each view with the one before, and the odometry between them with both.
 
     The camera looks ahead. Its lens is learned from the turns.
+
+    Attributes
+    ----------
+    error : YawRateError
+        Of this odometry.
+
     """
 
     # From one view to the next.
@@ -25,14 +31,15 @@ class VisualGyro:
     NOMINAL_FOCAL = 0.7
 
     def __init__(self, config: Config):
-        self._error = YawRateError(config.odometry)
+        self.error = YawRateError(config.odometry)
         self._view: np.ndarray | None = None
         self._odometry: OdometrySample | None = None
         self.reconfigure(config)
 
     def reconfigure(self, config: Config) -> None:
         """Go on with other values of `live` parameters."""
-        self._error.reconfigure(config.odometry)
+        self._config = config.odometry
+        self.error.reconfigure(config.odometry)
         self._is_on = config.odometry.visual_gyro and config.ratslam.backend != 'published'
 
     def look(self, view: np.ndarray, odometry: OdometrySample) -> None:
@@ -41,10 +48,7 @@ class VisualGyro:
             return
         last, before = self._odometry, self._view
         self._odometry, self._view = odometry, prepare(view)
-        if last is None:
-            return
-        if last.segment != odometry.segment:
-            self._error.restart()
+        if last is None or last.segment != odometry.segment:
             return
         seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
         motion = between(last.pose, odometry.pose)
@@ -56,16 +60,20 @@ class VisualGyro:
         nominal_px = self.NOMINAL_FOCAL * before.shape[1]
         told = shift_between(
             before, self._view, (motion.x_m, motion.y_m, climb), motion.yaw_rad,
-            nominal_px / self._error.scale)
+            nominal_px / self.error.scale)
         if told is not None:
             shift_px, sigma_px = told
-            self._error.update(
+            self.error.update(
                 motion.yaw_rad, shift_px / nominal_px, sigma_px / nominal_px, seconds)
+
+    def odometry(self) -> OdometryConfig:
+        """Return what is believed of corrected motions."""
+        return self.error.left(self._config) if self._is_on else self._config
 
     def corrected(self, motion: Pose2, seconds: float) -> Pose2:
         """Return a motion by odometry, of so many seconds, less the error of its yaw rate."""
         if not self._is_on:
             return motion
-        turn_rad = self._error.rad_s() * seconds_in_motion(motion, seconds)
+        turn_rad = self.error.rad_s() * seconds_in_motion(motion, seconds)
         motion, = rectified(np.array([motion]), np.array([turn_rad]), np.zeros(1))
         return Pose2(*motion.tolist())
