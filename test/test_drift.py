@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dlsc_qbs_ros.config import OdometryConfig
-from dlsc_qbs_ros.core.drift import Drift, rectified
+from dlsc_qbs_ros.core.drift import Drift, rectified, rectified_motion
 from dlsc_qbs_ros.core.types import IDENTITY, Pose2
 
 CONFIG = OdometryConfig(translation_drift=0.03, yaw_bias_rad_s=0.01, yaw_noise=0.02)
@@ -100,3 +100,9 @@ def test_an_arc_that_was_none_is_straight():
 def test_a_motion_that_was_told_too_long_is_shorter_and_turns_as_far():
     np.testing.assert_allclose(
         rectified(np.array([[2.0, -1.0, 0.3]]), np.zeros(1), np.array([0.1])), [[1.8, -0.9, 0.3]])
+
+
+@pytest.mark.parametrize('motion', [(2.0, -1.0, 0.3), (0.0, 1.0, 3.1), (-1.0, 0.0, -3.0)])
+def test_one_motion_is_rectified_as_many_are(motion):
+    many = rectified(np.array([motion]), np.array([-0.2]), np.array([0.1]))
+    assert rectified_motion(Pose2(*motion), -0.2, 0.1) == pytest.approx(many[0])

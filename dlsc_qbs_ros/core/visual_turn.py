@@ -41,15 +41,18 @@ HUBER = 1.5
 
 class _Grid(NamedTuple):
     """
-    The pixels that are looked at.
+    The pixels that are looked at, block by block.
 
-    Their columns and one more to each side; their places from the middle, and their blocks.
+    Their columns and one more to each side; where each is among them row by row, their places from
+    the middle, their blocks, and the first of each block.
     """
 
     columns: np.ndarray
+    order: np.ndarray
     x: np.ndarray
     y: np.ndarray
     block: np.ndarray
+    first: np.ndarray
 
 
 def prepare(view: np.ndarray) -> np.ndarray | None:
@@ -104,9 +107,9 @@ def shift_between(before: np.ndarray, after: np.ndarray, motion_m: tuple[float, 
     early, late = (_shifted(view, by, grid)
                    for view, by in ((before, -0.5 * guess), (after, 0.5 * guess)))
     mean = 0.5 * (early + late)
-    i_x = 0.5 * (mean[1:-1, 2:] - mean[1:-1, :-2]).ravel()
-    i_y = 0.5 * (mean[2:, 1:-1] - mean[:-2, 1:-1]).ravel()
-    i_t = (late - early)[1:-1, 1:-1].ravel()
+    i_x = 0.5 * (mean[1:-1, 2:] - mean[1:-1, :-2]).ravel()[grid.order]
+    i_y = 0.5 * (mean[2:, 1:-1] - mean[:-2, 1:-1]).ravel()[grid.order]
+    i_t = (late - early)[1:-1, 1:-1].ravel()[grid.order]
     x, y = grid.x / focal_px, grid.y / focal_px
     # In the frame of half the turn, in which both views are compared.
     forward, left, up = motion_m
@@ -117,7 +120,7 @@ def shift_between(before: np.ndarray, after: np.ndarray, motion_m: tuple[float, 
     by_turn = np.stack([
         i_x + to_sides, focal_px * (i_x * x * y + i_y * (1.0 + y * y)),
         focal_px * (i_y * x - i_x * y), by_nearness, np.ones_like(i_x),
-        mean[1:-1, 1:-1].ravel()], axis=1)
+        mean[1:-1, 1:-1].ravel()[grid.order]], axis=1)
     sigmas = [focal_px * GUESS_SIGMA_RAD, TILT_SIGMA_RAD, TILT_SIGMA_RAD, NEARNESS_SIGMA,
               OFFSET_SIGMA, GAIN_SIGMA]
     residual = i_t + guess * to_sides + NEARNESS * by_nearness
@@ -136,16 +139,17 @@ def _solved(by_turn: np.ndarray, sigmas: np.ndarray, by_nearness: np.ndarray,
     for _ in range(N_ITERATIONS):
         weights /= noise ** 2
         weighted = by_turn * weights[:, None]
-        own = np.bincount(grid.block, weights * by_nearness ** 2) + NEARNESS_SIGMA ** -2
-        mixed = np.stack([np.bincount(grid.block, column * by_nearness)
-                          for column in weighted.T], axis=1)
-        told = -np.bincount(grid.block, weights * by_nearness * residual)
+        mixed = np.add.reduceat(weighted * by_nearness[:, None], grid.first)
+        own, told = np.add.reduceat(
+            weights * by_nearness * (by_nearness, -residual), grid.first, axis=1)
+        own += NEARNESS_SIGMA ** -2
         information = weighted.T @ by_turn + np.diag(sigmas ** -2)
         covariance = np.linalg.inv(information - mixed.T @ (mixed / own[:, None]))
         shared = covariance @ (-weighted.T @ residual - mixed.T @ (told / own))
         nearness = (told - mixed @ shared) / own
         errors = np.abs(residual + by_turn @ shared + by_nearness * nearness[grid.block])
-        noise = max(1.48 * float(np.median(errors)), LEAST_NOISE)
+        middle = len(errors) // 2
+        noise = max(1.48 * float(np.partition(errors, middle)[middle]), LEAST_NOISE)
         weights = 1.0 / np.maximum(errors / (HUBER * noise), 1.0)
     return float(shared[0]), float(covariance[0, 0])
 
@@ -156,10 +160,11 @@ def _grid(rows: int, columns: int) -> _Grid:
     middle_x, middle_y = 0.5 * (columns - 1), 0.5 * (rows - 1)
     kept = np.flatnonzero(np.abs(np.arange(columns) - middle_x) < half)
     y, x = np.mgrid[1:rows - 1, kept[0]:kept[-1] + 1]
-    _, block = np.unique((y - 1) // BLOCK_PX * columns + (x - kept[0]) // BLOCK_PX,
-                         return_inverse=True)
-    return _Grid(np.arange(kept[0] - 1, kept[-1] + 2), (x - middle_x).ravel(),
-                 (y - middle_y).ravel(), block.ravel())
+    name = ((y - 1) // BLOCK_PX * columns + (x - kept[0]) // BLOCK_PX).ravel()
+    order = np.argsort(name, kind='stable')
+    _, first, block = np.unique(name[order], return_index=True, return_inverse=True)
+    return _Grid(np.arange(kept[0] - 1, kept[-1] + 2), order, (x - middle_x).ravel()[order],
+                 (y - middle_y).ravel()[order], block, first)
 
 
 def _shifted(view: np.ndarray, by_px: float, grid: _Grid) -> np.ndarray:

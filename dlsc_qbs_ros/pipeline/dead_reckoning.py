@@ -6,7 +6,7 @@ from math import hypot
 
 import numpy as np
 
-from ..core.drift import rectified, seconds_in_motion
+from ..core.drift import rectified, rectified_motion, seconds_in_motion
 from ..core.geometry import between, compose
 from ..core.types import IDENTITY, Pose2, Track
 
@@ -93,10 +93,11 @@ class DeadReckoning:
 
     def calibrated_here(self, motion: Pose2, seconds: float) -> Pose2:
         """Return a motion of the odometry of this segment, less its errors."""
-        if not len(self.errors):
+        segment = int(self.flown[2])
+        if segment >= len(self.errors):
             return motion
-        motion, = self.calibrated(np.array([motion]), np.array([seconds]), self.flown[2:])
-        return Pose2(*motion.tolist())
+        yaw_rate, scale = self.errors[segment].tolist()
+        return rectified_motion(motion, seconds * yaw_rate, scale)
 
     def _go_on(self) -> None:
         self.since = compose(self._start, self.calibrated_here(

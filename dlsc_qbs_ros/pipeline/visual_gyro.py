@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..config import Config, OdometryConfig
-from ..core.drift import rectified, seconds_in_motion
+from ..core.drift import rectified_motion, seconds_in_motion
 from ..core.geometry import between
 from ..core.types import OdometrySample, Pose2
 from ..core.visual_turn import prepare, shift_between
@@ -75,5 +75,4 @@ class VisualGyro:
         if not self._is_on:
             return motion
         turn_rad = self.error.rad_s() * seconds_in_motion(motion, seconds)
-        motion, = rectified(np.array([motion]), np.array([turn_rad]), np.zeros(1))
-        return Pose2(*motion.tolist())
+        return rectified_motion(motion, turn_rad, 0.0)
