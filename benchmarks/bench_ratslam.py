@@ -11,17 +11,19 @@ by other programs than a clock on the wall; `wall ms` are by that clock.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 import json
 from math import inf, pi
 from pathlib import Path
 import time
 from typing import Any, Callable, Iterator
 
-from dlsc_qbs_ros.config import Config
+from dlsc_qbs_ros.config import Config, ViewConfig
 from dlsc_qbs_ros.core.geometry import compose
 from dlsc_qbs_ros.core.types import Code, Dictionary, IDENTITY, OdometrySample, Pose2
 from dlsc_qbs_ros.pipeline.code_book import CodeBook
 from dlsc_qbs_ros.pipeline.mapper import Mapper
+from dlsc_qbs_ros.pipeline.visual_gyro import VisualGyro
 import numpy as np
 from one_thread import start_again_in_one_thread
 
@@ -142,6 +144,15 @@ def book_of(n_views: int, executor: ThreadPoolExecutor) -> CodeBook:
     return book
 
 
+def turning(flown: Iterator) -> list[tuple]:
+    """Return the times of telling the turn from one view to the next."""
+    gyro, view, samples = VisualGyro(Config()), ViewConfig(), []
+    for odometry, code in islice(flown, MORE_UPDATES):
+        pixels = np.resize(np.uint8(255 * code / code.max()), (view.height, view.width))
+        samples.append(timed(gyro.look, pixels, odometry))
+    return samples
+
+
 def publishing(mapper: Mapper) -> list[tuple]:
     """Return the times of making the messages of the whole map."""
     def build() -> int:
@@ -171,6 +182,7 @@ def main() -> None:
     with ThreadPoolExecutor(1) as executor:
         cases.append(row(f'{SIZES[-1]}, beside re-encoding',
                          beside(mapper, flown, book_of(2000, executor))))
+    cases.append(row('a turn told by two views', turning(flight())))
     if path_to_cdr is not None:
         cases.append(row(f'{SIZES[-1]}, making path and markers', publishing(mapper)))
     print(f'{"":34s} {"median ms":>9s} {"p99 ms":>7s} {"worst":>7s} {"wall ms":>8s} '

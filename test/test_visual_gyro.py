@@ -1,7 +1,7 @@
 """Turns as views tell them, and what they make of the odometry's yaw rate."""
 
 from dataclasses import replace
-from math import sqrt
+from math import pi, sqrt
 
 import numpy as np
 import pytest
@@ -10,6 +10,9 @@ from dlsc_qbs_ros.config import Config, OdometryConfig
 from dlsc_qbs_ros.core.types import OdometrySample, Pose2
 from dlsc_qbs_ros.core.visual_turn import prepare, shift_between
 from dlsc_qbs_ros.core.yaw_rate import YawRateError
+from dlsc_qbs_ros.pipeline.follower import Follower
+from dlsc_qbs_ros.pipeline.journey import Journey
+from dlsc_qbs_ros.pipeline.mapper import Mapper
 from dlsc_qbs_ros.pipeline.visual_gyro import VisualGyro
 
 ROWS, COLUMNS, FOCAL_PX = 32, 43, 26.0
@@ -55,8 +58,8 @@ def test_a_turn_too_large_for_the_view_is_not_told():
 
 
 @pytest.mark.parametrize('view', [
-    np.full((ROWS, COLUMNS), 7, np.uint8), np.zeros((8, 64), np.uint8),
-    np.zeros((64, 8), np.uint8)])
+    np.full((ROWS, COLUMNS), 7, np.uint8), np.eye(8, 64, dtype=np.uint8) * 255,
+    np.eye(64, 8, dtype=np.uint8) * 255])
 def test_a_view_without_anything_in_it_tells_nothing(view):
     assert prepare(view) is None
 
@@ -72,6 +75,7 @@ def filtered(bias_rad_s, focal=1.0, prior=0.012):
     error, dt = YawRateError(replace(ODOMETRY, yaw_bias_rad_s=prior)), 0.1
     for k in range(600):
         turn = 0.1 if k % 120 < 15 else 0.0
+        error.age(dt)
         error.update(turn + bias_rad_s * dt + rng.normal(0.0, 0.004),
                      focal * turn + rng.normal(0.0, 0.001), 0.0, dt)
     return error
@@ -120,31 +124,38 @@ def test_views_that_no_lens_explains_are_not_believed(focal):
     """As of a camera that looks to the side, whose way looks like a turn, or a mirrored one."""
     error = filtered(0.012, focal)
     assert error.rad_s() == 0.0
-    assert error.left(ODOMETRY) == ODOMETRY
+    assert error.yaw_noise() == ODOMETRY.yaw_noise
     assert 0.4 <= error.scale <= 2.5
 
 
-def test_what_is_left_of_the_error_and_the_noise_is_told():
-    """Here 0.004 rad a tenth of a second."""
-    left = filtered(0.012).left(ODOMETRY)
-    assert left.yaw_noise == pytest.approx(0.004 / sqrt(0.1), rel=0.25)
-    assert 0.003 < left.yaw_bias_rad_s < 0.006
+def test_the_noise_of_the_odometry_is_told():
+    """Here 0.004 rad a tenth of a second; it is held for 1.5 times as much."""
+    assert filtered(0.012).yaw_noise() == pytest.approx(1.5 * 0.004 / sqrt(0.1), rel=0.25)
 
 
 def test_views_that_tell_nothing_leave_what_is_believed():
     error = YawRateError(ODOMETRY)
     for _ in range(600):
         error.update(0.003, 0.0, 1.0, 0.1)
-    assert error.left(ODOMETRY).yaw_noise == pytest.approx(ODOMETRY.yaw_noise, rel=0.01)
-    assert error.rad_s() == pytest.approx(0.0, abs=1e-4)
+    assert error.yaw_noise() == ODOMETRY.yaw_noise
+    assert error.rad_s() == 0.0
+
+
+def test_an_error_is_forgotten_where_no_views_come():
+    error = filtered(0.012)
+    assert error.rad_s() > 0.008
+    error.age(3600.0)
+    assert error.rad_s() == 0.0
+    assert error.state() == pytest.approx([error.scale, 0.0, error.state()[2], 0.012 ** 2,
+                                           *error.state()[4:]], abs=1e-6)
 
 
 def test_what_was_learned_can_be_gone_on_from():
     error, other = filtered(0.012, focal=1.3), YawRateError(ODOMETRY)
     other.restore(error.state())
-    for one in (error, other):
-        one.update(0.01, 0.008, 0.001, 0.1)
-    np.testing.assert_array_equal(error.state(), other.state())
+    assert (other.scale, other.rad_s(), other.yaw_noise()) == (
+        error.scale, error.rad_s(), error.yaw_noise())
+    np.testing.assert_array_equal(other.state(), error.state())
 
 
 def looked(config, bias_rad_s=0.012):
@@ -170,3 +181,54 @@ def test_the_error_is_taken_out_of_motions_while_they_last():
 def test_where_it_is_not_wanted_motions_stay(values):
     motion = Pose2(1.0, 0.2, 0.1)
     assert looked(ON.override(values)).corrected(motion, 1.0) == pytest.approx(motion)
+
+
+def sample(k, turn_rad=0.1, segment=0):
+    return OdometrySample(k * 1_000_000_000, Pose2(0.0, 0.0, turn_rad * k), segment=segment)
+
+
+def told():
+    """Return a map whose gyro has found an error of 0.012 rad/s."""
+    mapper = Mapper(ON)
+    mapper.gyro.error.restore(np.array([1.0, 0.012, 1e-4, 1e-5, 0.002, 20.0]))
+    return mapper
+
+
+def test_the_map_turns_less_than_odometry_until_that_breaks():
+    mapper, code = told(), np.ones(4, np.float32)
+    error = mapper.gyro.error.rad_s()
+    assert error == pytest.approx(0.011, abs=0.001)
+    for k in range(3):
+        mapper.update(sample(k), code)
+    assert mapper.pose().yaw_rad == pytest.approx(2 * (0.1 - error))
+    mapper.update(sample(3, segment=1), code)
+    before = mapper.pose().yaw_rad
+    mapper.update(sample(4, segment=1), code)
+    assert mapper.pose().yaw_rad - before == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize('turn_rad', [0.1, 0.0125])
+def test_the_pose_between_codes_goes_on_as_the_map_will(turn_rad):
+    """So slow a turn is none of a robot that moves, less the error."""
+    mapper, code = told(), np.ones(4, np.float32)
+    follower = Follower(ON, mapper)
+    mapper.update(sample(0, turn_rad), code)
+    mapper.visits.calibrate(np.array([[0.003, 0.0]]))
+    follower.correct(sample(0, turn_rad))
+    for k in range(1, 5):
+        pose = follower.follow(sample(k, turn_rad)).pose
+    mapper.update(sample(4, turn_rad), code)
+    assert pose == pytest.approx(mapper.pose(), abs=1e-9)
+
+
+def test_closures_are_held_against_the_noise_that_views_tell():
+    """A circle that ends 0.3 rad off is no contradiction as odometry is believed to be."""
+    contradictions = []
+    for noise in (0.03, 0.005):
+        journey = Journey(ON)
+        journey.believe(replace(ODOMETRY, yaw_noise=noise, yaw_bias_rad_s=0.0))
+        journey.visits.create(Pose2(0.0, 0.0, 0.0))
+        for _ in range(200):
+            journey.move(Pose2(0.1, 0.0, 2 * pi / 200 + 0.3 / 200), 0.1)
+        contradictions.append(journey.contradiction(0))
+    assert contradictions == [None, 0]

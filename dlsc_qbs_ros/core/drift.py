@@ -52,7 +52,7 @@ def rectified(motions: np.ndarray, turns_rad: np.ndarray, scale_errors: np.ndarr
 
 
 def rectified_motion(motion: Pose2, turn_rad: float, scale_error: float) -> Pose2:
-    """Return one motion as `rectified` does, in a tenth of the time."""
+    """Return one motion as `rectified` does, without arrays."""
     x_m, y_m, yaw_rad = compose(Pose2(0.0, 0.0, -0.5 * turn_rad), motion)
     return Pose2((1.0 - scale_error) * x_m, (1.0 - scale_error) * y_m,
                  wrap_angle(yaw_rad - 0.5 * turn_rad))

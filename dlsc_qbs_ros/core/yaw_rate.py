@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import sqrt
+from math import exp, inf, sqrt
 
 import numpy as np
 
@@ -24,8 +23,12 @@ NOISE_MEMORY_S = 20.0
 # Times the nominal focal length, or a share of it as small: what would need more is no lens, but a
 # camera that looks elsewhere.
 LARGEST_SCALE = 2.5
-# More deviations than these are an outlier, of one pair of views, and no error of odometry.
-OUTLIER, LARGEST = 3.0, 3.0
+# More deviations than these are an outlier, of one pair of views,
+OUTLIER = 3.0
+# and no error of an odometry that is believed to have errors of that deviation.
+LARGEST_ERROR = 3.0
+# What is left after the error was taken out wanders: it is as much noise as that which is seen.
+LEFT = 1.5
 
 
 class YawRateError:
@@ -37,36 +40,33 @@ class YawRateError:
     """
 
     def __init__(self, config: OdometryConfig):
+        self._config = config
         self._state = np.array([1.0, 0.0])
         self._covariance = np.diag([FOCAL_SIGMA ** 2, 0.0])
-        self._prior = self._noise = -1.0
-        self.reconfigure(config)
+        self.restart()
 
     def reconfigure(self, config: OdometryConfig) -> None:
         """Go on with the odometry; one of other deviations is another."""
-        known = self._prior, self._noise
-        self._prior = config.yaw_bias_rad_s ** 2
-        self._noise = config.yaw_noise ** 2 + VISUAL_NOISE ** 2
-        if (self._prior, self._noise) != known:
+        known, self._config = self._config, config
+        if (config.yaw_bias_rad_s, config.yaw_noise) != (known.yaw_bias_rad_s, known.yaw_noise):
             self.restart()
 
     def state(self) -> np.ndarray:
-        """Return what `restore` takes, (7,)."""
-        return np.array([*self._state, *self._covariance[np.triu_indices(2)],
-                         self._seen, self._seen_s])
+        """Return what `restore` takes, (6,)."""
+        return np.array([*self._state, *np.diag(self._covariance), self._seen, self._seen_s])
 
     def restore(self, state: np.ndarray) -> None:
-        """Go on from what `state` returned."""
-        self._state = state[:2].copy()
-        self._covariance = np.array([state[2:4], state[3:5]])
-        self._seen, self._seen_s = state[5:].tolist()
+        """Go on from what `state` returned; how lens and error go together, is yet to be told."""
+        self._state, self._covariance = state[:2].copy(), np.diag(state[2:4])
+        self._seen, self._seen_s = state[4:].tolist()
 
     def restart(self) -> None:
         """Begin with another odometry; the camera stays."""
         self._state[1] = 0.0
         self._covariance[1] = self._covariance[:, 1] = 0.0
-        self._covariance[1, 1] = self._prior
-        self._seen_s, self._seen = NOISE_S, self._noise * NOISE_S
+        self._covariance[1, 1] = self._config.yaw_bias_rad_s ** 2
+        self._seen = (self._config.yaw_noise ** 2 + VISUAL_NOISE ** 2) * NOISE_S
+        self._seen_s = NOISE_S
 
     @property
     def scale(self) -> float:
@@ -76,8 +76,8 @@ class YawRateError:
     @property
     def is_told(self) -> bool:
         """Whether the views agree with some lens, and with odometry but for a small error."""
-        scale, error = self._state
-        return bool(scale == self.scale and error ** 2 < LARGEST ** 2 * self._prior)
+        scale, error = self._state.tolist()
+        return scale == self.scale and abs(error) < LARGEST_ERROR * self._config.yaw_bias_rad_s
 
     def rad_s(self) -> float:
         """
@@ -90,13 +90,18 @@ class YawRateError:
             return 0.0
         return error - VISUAL_SIGMA_RAD_S ** 2 / error
 
-    def left(self, config: OdometryConfig) -> OdometryConfig:
-        """Return what is left to be said of the odometry, less that error: never more."""
-        if not self.is_told:
-            return config
-        sigma_rad_s = sqrt(self._covariance[1, 1] + VISUAL_SIGMA_RAD_S ** 2)
-        return replace(config, yaw_bias_rad_s=min(sigma_rad_s, config.yaw_bias_rad_s),
-                       yaw_noise=min(sqrt(self._seen / self._seen_s), config.yaw_noise))
+    def yaw_noise(self) -> float:
+        """Return the noise of the odometry, in rad/sqrt(s), as far as it is less than believed."""
+        told = LEFT * sqrt(self._seen / self._seen_s) if self.is_told else inf
+        return min(told, self._config.yaw_noise)
+
+    def age(self, seconds: float) -> None:
+        """Let time pass, with views or without."""
+        keep = exp(-seconds / STEADY_S)
+        self._state[1] *= keep
+        self._covariance[1] *= keep
+        self._covariance[:, 1] *= keep
+        self._covariance[1, 1] += (1.0 - keep ** 2) * self._config.yaw_bias_rad_s ** 2
 
     def update(self, turn_rad: float, visual_rad: float, sigma_rad: float, seconds: float) -> None:
         """
@@ -112,11 +117,6 @@ class YawRateError:
             How long it took.
 
         """
-        keep = np.exp(-seconds / STEADY_S)
-        self._state[1] *= keep
-        self._covariance[1] *= keep
-        self._covariance[:, 1] *= keep
-        self._covariance[1, 1] += (1.0 - keep ** 2) * self._prior
         by_state = np.array([visual_rad, seconds])
         noise = self._seen / self._seen_s
         variance = (noise * seconds + (TURN_SHARE * self.scale * visual_rad) ** 2
@@ -125,12 +125,11 @@ class YawRateError:
         innovation = turn_rad - by_state @ self._state
         total = variance + by_state @ spread
         limit = OUTLIER * np.sqrt(total)
-        gain = spread / total
-        self._state += gain * np.clip(innovation, -limit, limit)
-        self._covariance -= np.outer(gain, spread)
+        self._state += spread * (np.clip(innovation, -limit, limit) / total)
+        self._covariance -= np.outer(spread, spread) / total
         # What this pair makes of the noise, as far as it is that by which the turns differ.
         share = noise * seconds / total
         seen = noise * (1.0 + share * (min(innovation ** 2 / total, OUTLIER ** 2) - 1.0))
-        fade = np.exp(-seconds / NOISE_MEMORY_S)
+        fade = exp(-seconds / NOISE_MEMORY_S)
         self._seen_s = fade * self._seen_s + seconds
         self._seen = fade * self._seen + max(seen, VISUAL_NOISE ** 2) * seconds

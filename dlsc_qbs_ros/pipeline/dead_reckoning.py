@@ -21,7 +21,7 @@ class DeadReckoning:
     Attributes
     ----------
     here : Pose2
-        The robot's pose by odometry alone, as it came.
+        The robot's pose by odometry alone, less the error that views tell.
     flown : ndarray of shape (3,)
         The seconds in motion, metres and breaks of odometry up to here.
     since : Pose2

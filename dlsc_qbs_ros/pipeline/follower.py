@@ -124,5 +124,6 @@ class Follower:
         mapped = self._mapper.odometry
         if mapped is None or mapped.segment != sample.segment:
             return motion
+        motion = self._mapper.gyro.corrected(motion, seconds)
         return self._mapper.visits.odometry.calibrated_here(
-            self._mapper.gyro.corrected(motion, seconds), seconds_in_motion(motion, seconds))
+            motion, seconds_in_motion(motion, seconds))

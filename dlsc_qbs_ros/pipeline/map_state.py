@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Mapping, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .dead_reckoning import MAX_ERRORS
 from ..config import Config
@@ -17,6 +18,8 @@ SHAPING = ('encoder.input', 'encoder.mode', 'encoder.n_atoms', 'patches.size',
            'patches.cells_x', 'patches.cells_y', 'pose_cells.size_xy', 'pose_cells.cell_size_m')
 LARGEST = 1e12  # seconds too, of a clock that was set from 1970 to now
 MAX_BREAKS = 1e6
+# Of the gyro's state; no noise is 0, and so long it is looked at.
+GYRO = ((-1e3, -1e3, 0.0, 0.0, 1e-9, 1.0), (1e3, 1e3, 1.0, 1.0, 1e3, 1e3))
 MAX_STATIONS = 1e6  # as many views as a run may have, each after a gap, are not half of it
 
 
@@ -63,8 +66,8 @@ ARRAYS = {
     'pose_cells': Array('<f8', ('headings', 'size_xy', 'size_xy'), 'their activity'),
     'odometry_stamp_ns': Array('<i8', (1,), 'of the last odometry that was used'),
     'odometry': Array('<f8', (6,), 'it: x, y, yaw, z, roll, pitch'),
-    'gyro': Array('<f8', (7,), 'the lens, the error of the yaw rate in rad/s, the variance of the '
-                  'one, of both, of the other, and the noise seen: in rad^2, in seconds'),
+    'gyro': Array('<f8', (6,), 'the lens, the error of the yaw rate in rad/s, their variances, '
+                  'and the noise seen: in rad^2, in seconds'),
     'robot_track': Array('<f8', (3,), 'the robot by odometry alone'),
     'robot_start': Array('<f8', (7,), 'where it set out: from the visit that it stands by, by '
                          'odometry alone, and in seconds in motion'),
@@ -146,7 +149,7 @@ def _check_sense(state: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None
             ('run_counts', _within(state['run_counts'], 0, LARGEST), 'counts'),
             ('link_makers', _within(state['link_makers'], -1, sizes['visits'] - 1), 'visits'),
             ('robot_stand', _within(state['robot_stand'], -1, sizes['visits'] - 1), 'a visit'),
-            ('gyro', _is_gyro(*state['gyro']), 'variances and a noise'),
+            ('gyro', _within(state['gyro'], *GYRO), 'variances and a noise'),
             ('robot_drift', _within(state['robot_drift'], 0.0, LARGEST), 'none below 0'),
             ('view_cell_decays', _within(state['view_cell_decays'], 0.0, LARGEST), 'a decay'),
             ('pose_cells', _within(state['pose_cells'], 0.0, LARGEST)
@@ -154,13 +157,7 @@ def _check_sense(state: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None
         _require(holds, name, expected)
 
 
-def _is_gyro(scale, error_rad_s, of_scale, of_both, of_error, seen, seen_s) -> bool:
-    """Whether `YawRateError` can go on from this."""
-    return (min(of_scale, of_error) >= 0.0 < min(seen, seen_s)
-            and of_both ** 2 <= of_scale * of_error)
-
-
-def _within(array: np.ndarray, low: float | np.ndarray, high: float | np.ndarray) -> bool:
+def _within(array: np.ndarray, low: ArrayLike, high: ArrayLike) -> bool:
     """Whether all values are within bounds; one that is not a number is not."""
     return bool(((array >= low) & (array <= high)).all())
 

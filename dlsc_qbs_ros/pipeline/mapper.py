@@ -136,6 +136,7 @@ class Mapper:
             int(state['odometry_stamp_ns'][0]), Pose2(*pose), z_m, roll_rad, pitch_rad,
             self.PAST_SEGMENT)
         self.gyro.error.restore(state['gyro'])
+        self.journey.believe(self.gyro.odometry())
         self.packet.restore(state)
         self.journey.restore(state)
         self._matcher.restore(state)

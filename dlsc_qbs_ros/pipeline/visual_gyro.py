@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..config import Config, OdometryConfig
@@ -51,11 +53,12 @@ class VisualGyro:
         if last is None or last.segment != odometry.segment:
             return
         seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
+        self.error.age(max(seconds, 0.0))
         motion = between(last.pose, odometry.pose)
         climb = odometry.z_m - last.z_m
-        if (before is None or self._view is None
-                or not 0.0 < seconds_in_motion(motion, seconds) <= self.LONGEST_S
-                or max(map(abs, (motion.x_m, motion.y_m, climb))) > self.LONGEST_M):
+        is_near = (0.0 < seconds_in_motion(motion, seconds) <= self.LONGEST_S
+                   and max(map(abs, (motion.x_m, motion.y_m, climb))) <= self.LONGEST_M)
+        if before is None or self._view is None or not is_near:
             return
         nominal_px = self.NOMINAL_FOCAL * before.shape[1]
         told = shift_between(
@@ -67,8 +70,10 @@ class VisualGyro:
                 motion.yaw_rad, shift_px / nominal_px, sigma_px / nominal_px, seconds)
 
     def odometry(self) -> OdometryConfig:
-        """Return what is believed of corrected motions."""
-        return self.error.left(self._config) if self._is_on else self._config
+        """Return what is believed of the odometry."""
+        if not self._is_on:
+            return self._config
+        return replace(self._config, yaw_noise=self.error.yaw_noise())
 
     def corrected(self, motion: Pose2, seconds: float) -> Pose2:
         """Return a motion by odometry, of so many seconds, less the error of its yaw rate."""
