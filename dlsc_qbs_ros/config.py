@@ -132,7 +132,7 @@ class OdometryConfig(Section):
         0.03, 'deviation of the heading after one second of random walk', unit='rad/sqrt(s)',
         bounds=(0.0, 1.0), live=True)
     visual_gyro: bool = parameter(
-        False, 'take out the error of the yaw rate that views tell, of a camera that looks ahead',
+        True, 'take out the error of the yaw rate that views tell, of a camera that looks ahead',
         live=True)
 
 
