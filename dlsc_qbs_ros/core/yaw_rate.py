@@ -13,8 +13,9 @@ FOCAL_SIGMA = 0.3
 # Of the turns that views tell: a constant error, in rad/s, what adds up in a second, and a share
 # of the turn.
 VISUAL_SIGMA_RAD_S, VISUAL_NOISE, TURN_SHARE = 0.003, 0.006, 0.15
-# The errors of neighbouring pixels go together: the deviation is so many times what they tell.
-TOGETHER = 3.0
+# The errors of neighbouring pixels go together, and those of successive views, of near things to
+# one side: the deviation is so many times what the pixels of one pair tell.
+TOGETHER = 6.0
 # An error of odometry stays about what it is for so long.
 STEADY_S = 300.0
 # For so long, the noise is taken for what is configured; then for what it was in as much time.
