@@ -18,7 +18,7 @@ from dlsc_qbs_ros.pipeline.visual_gyro import VisualGyro
 ROWS, COLUMNS, FOCAL_PX = 32, 43, 26.0
 STILL = 0.0, 0.0, 0.0
 ODOMETRY = OdometryConfig(yaw_bias_rad_s=0.012, yaw_noise=0.03)
-ON = Config().override({'odometry.visual_gyro': True})
+CONFIG = Config()
 
 
 def panorama(yaw_rad):
@@ -169,7 +169,7 @@ def looked(config, bias_rad_s=0.012):
 
 
 def test_the_error_is_taken_out_of_motions_while_they_last():
-    gyro = looked(ON)
+    gyro = looked(CONFIG)
     motion = gyro.corrected(Pose2(1.0, 0.0, 0.1), 1.0)
     assert motion.yaw_rad == pytest.approx(0.1 - 0.012, abs=0.004)
     assert gyro.corrected(Pose2(0.0, 0.0, 0.0), 5.0) == Pose2(0.0, 0.0, 0.0)
@@ -180,7 +180,7 @@ def test_the_error_is_taken_out_of_motions_while_they_last():
     {'odometry.yaw_bias_rad_s': 0.0}])
 def test_where_it_is_not_wanted_motions_stay(values):
     motion = Pose2(1.0, 0.2, 0.1)
-    assert looked(ON.override(values)).corrected(motion, 1.0) == pytest.approx(motion)
+    assert looked(CONFIG.override(values)).corrected(motion, 1.0) == pytest.approx(motion)
 
 
 def sample(k, turn_rad=0.1, segment=0):
@@ -189,7 +189,7 @@ def sample(k, turn_rad=0.1, segment=0):
 
 def told():
     """Return a map whose gyro has found an error of 0.012 rad/s."""
-    mapper = Mapper(ON)
+    mapper = Mapper(CONFIG)
     mapper.gyro.error.restore(np.array([1.0, 0.012, 1e-4, 1e-5, 0.002, 20.0]))
     return mapper
 
@@ -211,7 +211,7 @@ def test_the_map_turns_less_than_odometry_until_that_breaks():
 def test_the_pose_between_codes_goes_on_as_the_map_will(turn_rad):
     """So slow a turn is none of a robot that moves, less the error."""
     mapper, code = told(), np.ones(4, np.float32)
-    follower = Follower(ON, mapper)
+    follower = Follower(CONFIG, mapper)
     mapper.update(sample(0, turn_rad), code)
     mapper.visits.calibrate(np.array([[0.003, 0.0]]))
     follower.correct(sample(0, turn_rad))
@@ -225,8 +225,8 @@ def test_closures_are_held_against_the_noise_that_views_tell():
     """A circle that ends 0.3 rad off is no contradiction as odometry is believed to be."""
     contradictions = []
     for noise in (0.03, 0.005):
-        journey = Journey(ON)
-        journey.believe(replace(ODOMETRY, yaw_noise=noise, yaw_bias_rad_s=0.0))
+        journey = Journey(CONFIG.override({'odometry.yaw_bias_rad_s': 0.0}))
+        journey.believe(noise)
         journey.visits.create(Pose2(0.0, 0.0, 0.0))
         for _ in range(200):
             journey.move(Pose2(0.1, 0.0, 2 * pi / 200 + 0.3 / 200), 0.1)

@@ -63,9 +63,7 @@ class YawRateError:
 
     def restart(self) -> None:
         """Begin with another odometry; the camera stays."""
-        self._state[1] = 0.0
-        self._covariance[1] = self._covariance[:, 1] = 0.0
-        self._covariance[1, 1] = self._config.yaw_bias_rad_s ** 2
+        self.age(inf)
         self._seen = (self._config.yaw_noise ** 2 + VISUAL_NOISE ** 2) * NOISE_S
         self._seen_s = NOISE_S
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from .pieces import Pieces
 from .visits import Visits
-from ..config import Config, OdometryConfig
+from ..config import Config
 from ..core.consistency import calibration, Chain, contradiction, deviations
 from ..core.drift import Drift
 from ..core.geometry import between, between_rows, compose
@@ -56,6 +56,8 @@ class Journey:
     def __init__(self, config: Config):
         self._config = config.ratslam
         self._odometry = config.odometry
+        # What closures are held against: views tell how noisy the odometry is.
+        self._yaw_noise = config.odometry.yaw_noise
         self.visits = Visits()
         self.pieces = Pieces(self.visits, config.ratslam.sequence_length)
         self.drift = Drift(config.odometry)
@@ -72,11 +74,12 @@ class Journey:
     def reconfigure(self, config: Config) -> None:
         """Go on with other values of `live` parameters."""
         self._config, self._odometry = config.ratslam, config.odometry
+        self._yaw_noise = config.odometry.yaw_noise
         self.drift.reconfigure(config.odometry)
 
-    def believe(self, odometry: OdometryConfig) -> None:
-        """Hold closures against an odometry that is known better."""
-        self._odometry = odometry
+    def believe(self, yaw_noise: float) -> None:
+        """Hold closures against another noise of the odometry, in rad/sqrt(s)."""
+        self._yaw_noise = yaw_noise
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what `restore` takes, by the names in `map_state.ARRAYS`."""
@@ -292,7 +295,7 @@ class Journey:
         poses, track, flown = self.visits.along(nodes)
         seconds, metres, breaks = np.diff(flown, axis=0).T
         unknown = break_variance * breaks + 1e-9
-        turn = self._odometry.yaw_noise ** 2 * seconds + unknown
+        turn = self._yaw_noise ** 2 * seconds + unknown
         along = self.WALK_SIGMA_M ** 2 * metres + unknown
         # A turn somewhere on the way throws its end sideways.
         across = along + turn * (0.5 * metres) ** 2

@@ -172,12 +172,13 @@ class LiveMap:
         # No camera that moves sees the same twice, to the last pixel: one that does hangs.
         is_new = not np.array_equal(view, self._last_view)
         self._last_view = view
-        if is_new and not self.is_paused:
-            self.mapper.gyro.look(view, odometry)
         if self.is_paused:
             self.mapper.carry(odometry)
-        elif self.mapper.update(odometry, values * is_new):
-            self._book.add_view(view * is_new, code)
+        else:
+            if is_new:
+                self.mapper.gyro.look(view, odometry)
+            if self.mapper.update(odometry, values * is_new):
+                self._book.add_view(view * is_new, code)
         self.counts['codes_used'] += 1
         self._follower.correct(odometry)
 

@@ -136,7 +136,7 @@ class Mapper:
             int(state['odometry_stamp_ns'][0]), Pose2(*pose), z_m, roll_rad, pitch_rad,
             self.PAST_SEGMENT)
         self.gyro.error.restore(state['gyro'])
-        self.journey.believe(self.gyro.odometry())
+        self.journey.believe(self.gyro.yaw_noise())
         self.packet.restore(state)
         self.journey.restore(state)
         self._matcher.restore(state)
@@ -201,7 +201,7 @@ class Mapper:
                 self.gyro.error.restart()
         seconds = max(seconds, 0.0)  # a clock that falls back makes nothing younger
         self.odometry = odometry
-        self.journey.believe(self.gyro.odometry())
+        self.journey.believe(self.gyro.yaw_noise())
         self.journey.move(motion, seconds)
         if self._first_pose is not None:
             self._first_pose = compose(self._first_pose, motion)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from ..config import Config, OdometryConfig
+from ..config import Config
 from ..core.drift import rectified_motion, seconds_in_motion
 from ..core.geometry import between
 from ..core.types import OdometrySample, Pose2
@@ -69,11 +67,9 @@ class VisualGyro:
             self.error.update(
                 motion.yaw_rad, shift_px / nominal_px, sigma_px / nominal_px, seconds)
 
-    def odometry(self) -> OdometryConfig:
-        """Return what is believed of the odometry."""
-        if not self._is_on:
-            return self._config
-        return replace(self._config, yaw_noise=self.error.yaw_noise())
+    def yaw_noise(self) -> float:
+        """Return what noise of the odometry, in rad/sqrt(s), is believed."""
+        return self.error.yaw_noise() if self._is_on else self._config.yaw_noise
 
     def corrected(self, motion: Pose2, seconds: float) -> Pose2:
         """Return a motion by odometry, of so many seconds, less the error of its yaw rate."""

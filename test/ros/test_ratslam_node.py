@@ -267,7 +267,7 @@ def test_a_node_set_inactive_publishes_nothing_keeps_its_map_and_goes_on(graph):
         graph.fly(k, encoder)
     observer.spin_until(lambda: len(graph.poses) == 40)
     # Odometry went on: what was flown meanwhile is in the map as one motion.
-    assert graph.poses[-1].pose.pose.position.x == pytest.approx(9.9, abs=1e-3)
+    assert graph.poses[-1].pose.pose.position.x == pytest.approx(9.9, abs=1e-6)
     values = {value.key: value.value for value in graph.status(
         lambda values: values.get('poses') == '80').values}
     assert int(values['experiences']) > 24  # an experience each 0.3 m of two times 4 m
