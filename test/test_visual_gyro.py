@@ -8,7 +8,7 @@ import pytest
 
 from dlsc_qbs_ros.config import Config, OdometryConfig
 from dlsc_qbs_ros.core.types import OdometrySample, Pose2
-from dlsc_qbs_ros.core.visual_turn import prepare, shift_between
+from dlsc_qbs_ros.core.visual_turn import prepare, shift_between, turns_along
 from dlsc_qbs_ros.core.yaw_rate import YawRateError
 from dlsc_qbs_ros.pipeline.follower import Follower
 from dlsc_qbs_ros.pipeline.journey import Journey
@@ -58,8 +58,8 @@ def test_a_turn_too_large_for_the_view_is_not_told():
 
 
 @pytest.mark.parametrize('view', [
-    np.full((ROWS, COLUMNS), 7, np.uint8), np.eye(8, 64, dtype=np.uint8) * 255,
-    np.eye(64, 8, dtype=np.uint8) * 255])
+    np.full((ROWS, COLUMNS), 7, np.uint8), panorama(0.3) // 32,
+    np.eye(8, 64, dtype=np.uint8) * 255, np.eye(64, 8, dtype=np.uint8) * 255])
 def test_a_view_without_anything_in_it_tells_nothing(view):
     assert prepare(view) is None
 
@@ -163,9 +163,60 @@ def looked(config, bias_rad_s=0.012):
     gyro, yaw = VisualGyro(config), 0.0
     for k in range(300):
         yaw += 0.03 * np.sin(k / 9)
-        gyro.look(panorama(yaw), OdometrySample(
-            k * 100_000_000, Pose2(0.0, 0.0, yaw + bias_rad_s * 0.1 * k)))
+        gyro.look(panorama(yaw), turned(k, yaw + bias_rad_s * 0.1 * k))
     return gyro
+
+
+def turned(k, yaw_rad):
+    return OdometrySample(k * 100_000_000, Pose2(0.0, 0.0, yaw_rad))
+
+
+def blank_wall(k):
+    """Return it through a lens that is darker to the sides, uint8: it looks so however turned."""
+    y, x = np.mgrid[:ROWS, :COLUMNS]
+    shade = np.hypot(x - COLUMNS / 2, y - ROWS / 2) ** 2 / (COLUMNS / 2) ** 2
+    noise = np.random.default_rng(k).normal(0.0, 0.5, (ROWS, COLUMNS))
+    return (110.0 - 20.0 * shade + noise).astype(np.uint8)
+
+
+@pytest.mark.parametrize('rate_rad_s', [0.05, 0.1, -0.3])
+def test_what_does_not_turn_along_is_no_scene(rate_rad_s):
+    """Nothing is told by the shade of a lens, and what was known of the error stays."""
+    gyro, known, new = looked(CONFIG), looked(CONFIG).error, VisualGyro(CONFIG)
+    for k in range(300, 600):
+        for either in gyro, new:
+            either.look(blank_wall(k), turned(k, rate_rad_s * 0.1 * k))
+    assert gyro.error.rad_s() == pytest.approx(known.rad_s(), abs=0.002)
+    assert gyro.error.yaw_noise() == pytest.approx(known.yaw_noise(), rel=0.02)
+    assert gyro.error.scale == pytest.approx(known.scale, rel=0.02)
+    assert new.error.rad_s() == 0.0
+
+
+def test_a_scene_that_comes_back_tells_again():
+    gyro = VisualGyro(CONFIG)
+    for k in range(100):
+        gyro.look(blank_wall(k), turned(k, 0.01 * k))
+    for k in range(100, 400):
+        gyro.look(panorama(0.2 * np.sin(k / 9)), turned(k, 0.2 * np.sin(k / 9) + 0.0012 * k))
+    assert gyro.error.rad_s() == pytest.approx(0.012, abs=0.004)
+
+
+def test_of_another_odometry_nothing_was_known_before():
+    gyro = looked(CONFIG)
+    gyro.restart()
+    for k in range(300, 400):
+        gyro.look(blank_wall(k), turned(k, 0.01 * k))
+    assert gyro.error.rad_s() == 0.0
+
+
+@pytest.mark.parametrize('turn_rad', [-0.15, 0.15])
+def test_a_scene_turns_along_and_a_shade_does_not(turn_rad):
+    before, after = (prepare(panorama(yaw)) for yaw in (0.3, 0.3 + turn_rad))
+    for guess in (0.5, 0.8, 1.2):
+        assert turns_along(before, after, guess * FOCAL_PX * turn_rad)
+    assert not turns_along(before, after, -FOCAL_PX * turn_rad)
+    assert not turns_along(prepare(blank_wall(0)), prepare(blank_wall(1)), FOCAL_PX * turn_rad)
+    assert turns_along(before, after, 0.21 * COLUMNS) is None
 
 
 def test_the_error_is_taken_out_of_motions_while_they_last():
@@ -190,7 +241,7 @@ def sample(k, turn_rad=0.1, segment=0):
 def told():
     """Return a map whose gyro has found an error of 0.012 rad/s."""
     mapper = Mapper(CONFIG)
-    mapper.gyro.error.restore(np.array([1.0, 0.012, 1e-4, 1e-5, 0.002, 20.0]))
+    mapper.gyro.restore(np.array([1.0, 0.012, 1e-4, 1e-5, 0.002, 20.0]))
     return mapper
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .preprocessing import make_view
+from .preprocessing import make_view, MIN_CONTRAST
 from ..config import ViewConfig
 
 # Views are averaged down to fewer columns than twice as many; smaller ones tell nothing.
@@ -60,7 +60,7 @@ def prepare(view: np.ndarray) -> np.ndarray | None:
     Return a view (height, width), uint8, as `shift_between` takes it.
 
     Of about `COLUMNS` columns, float32, with the mean 0 and the deviation `CONTRAST`; None of a
-    view that is too small or of one grey alone.
+    view that is too small or hardly more than noise.
     """
     step = max(view.shape[1] // COLUMNS, 1)
     rows, columns = view.shape[0] // step, view.shape[1] // step
@@ -68,7 +68,7 @@ def prepare(view: np.ndarray) -> np.ndarray | None:
         return None
     small = make_view(view, ViewConfig(width=columns, height=rows)).astype(np.float32)
     deviation = small.std()
-    if deviation < 1.0:
+    if deviation < MIN_CONTRAST:
         return None
     return (small - small.mean()) * (CONTRAST / deviation)
 
@@ -126,6 +126,39 @@ def shift_between(before: np.ndarray, after: np.ndarray, motion_m: tuple[float, 
     residual = i_t + guess * to_sides + NEARNESS * by_nearness
     shift, variance = _solved(by_turn, np.array(sigmas), by_nearness, residual, grid)
     return guess + shift, sqrt(variance)
+
+
+def turns_along(before: np.ndarray, after: np.ndarray, shift_px: float) -> bool | None:
+    """
+    Return whether what two views show moved when the camera turned.
+
+    What stays where it is is no scene, but the shade of the lens, dirt on it or the drone itself.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (rows, columns), float32
+        Two views of one size from `prepare`.
+    shift_px : float
+        By how much the turn moves the middle of the view to the right; it may be half of that.
+
+    Returns
+    -------
+    bool or None
+        None where the turn is too large to tell.
+
+    """
+    if abs(shift_px) > LARGEST_TURN * before.shape[1]:
+        return None
+    grid = _grid(*before.shape)
+
+    def alike(px: float) -> float:
+        # Only what is left without the mean of each row moves when the camera turns.
+        early, late = (part - part.mean(axis=1, keepdims=True) for part in (
+            _shifted(before, -0.5 * px, grid), _shifted(after, 0.5 * px, grid)))
+        size = float(np.vdot(early, early)) * float(np.vdot(late, late))
+        return float(np.vdot(early, late)) / sqrt(size) if size else 0.0
+
+    return max(alike(0.5 * shift_px), alike(shift_px)) > alike(0.0)
 
 
 def _solved(by_turn: np.ndarray, sigmas: np.ndarray, by_nearness: np.ndarray,

@@ -135,7 +135,7 @@ class Mapper:
         self.odometry = self._keyframe = OdometrySample(
             int(state['odometry_stamp_ns'][0]), Pose2(*pose), z_m, roll_rad, pitch_rad,
             self.PAST_SEGMENT)
-        self.gyro.error.restore(state['gyro'])
+        self.gyro.restore(state['gyro'])
         self.journey.believe(self.gyro.yaw_noise())
         self.packet.restore(state)
         self.journey.restore(state)
@@ -198,7 +198,7 @@ class Mapper:
                     between(self.odometry.pose, odometry.pose), seconds)
             else:
                 self.journey.break_off()
-                self.gyro.error.restart()
+                self.gyro.restart()
         seconds = max(seconds, 0.0)  # a clock that falls back makes nothing younger
         self.odometry = odometry
         self.journey.believe(self.gyro.yaw_noise())
