@@ -142,6 +142,18 @@ class TestFlights:
             assert reproduce.main(['--out', str(tmp_path / 'out')]) == 0
         assert len(tools.simulated) == 3
 
+    def test_one_that_was_broken_off_is_made_again(self, tools, tmp_path, monkeypatch):
+        def broken_off(argv):
+            tools.simulate(argv)
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(reproduce.simulate, 'main', broken_off)
+            assert reproduce.main(['--out', str(tmp_path / 'out')]) != 0
+        assert list((tmp_path / 'out' / 'flights').iterdir()) == []
+        assert reproduce.main(['--out', str(tmp_path / 'out')]) == 0
+        assert len(tools.simulated) == 1 + 3
+
     def test_given_ones_are_taken_instead(self, tools, tmp_path):
         (tmp_path / 'walk.mcap').touch()
         assert reproduce.main(['--flights', str(tmp_path / 'walk.mcap'), '--odom-topic', '/o',
@@ -195,6 +207,18 @@ class TestRows:
             out / 'latentslam.onnx'}
         assert {job.flight.name for job in tools.jobs}.isdisjoint(
             {f'flight{kind}_seed6' for kind in '123'})
+
+    def test_a_flight_for_training_and_evaluation_is_refused(
+            self, tools, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(reproduce, 'find_spec', lambda name: True)
+        for name in 'ab':
+            (tmp_path / name).mkdir()
+        assert reproduce.main(['--flights', str(tmp_path / 'a'), '--training', str(tmp_path / 'b'),
+                               str(tmp_path / 'b' / '..' / 'a'),
+                               '--out', str(tmp_path / 'out')]) == 1
+        assert (f'{tmp_path / "a"}: expected LatentSLAM to be trained on flights other than those '
+                'evaluated' in capsys.readouterr().err)
+        assert tools.trained == tools.jobs == []
 
     def test_a_broken_flight_leaves_a_report_of_the_rows_before_it(
             self, tools, tmp_path, capsys):

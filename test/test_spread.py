@@ -1,6 +1,7 @@
 """Jobs over processes and over a cluster: the same results, byte for byte, whatever dies."""
 
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 import json
 import os
@@ -35,6 +36,21 @@ class LoopFlight(Flight):
         truth = [GroundTruthSample(stamp_ns(t), pose_at(t))
                  for t in np.arange(0.0, 2.0 * LAP_S, 0.5).tolist()]
         return [*truth, *events(2.0 * LAP_S, self.seed)]
+
+
+@dataclass(frozen=True)
+class DeadlyFlight(LoopFlight):
+    """The same; who reads it first is killed half-way."""
+
+    marker: Path = Path()
+
+    def events(self, refused=None, mavlink=None):
+        whole = super().events()
+        yield from whole[:len(whole) // 2]
+        if not self.marker.exists():
+            self.marker.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        yield from whole[len(whole) // 2:]
 
 
 def jobs():
@@ -77,6 +93,13 @@ def environment(_):
     return {name: os.environ.get(name) for name in ONE_THREAD}
 
 
+def first_then_wait(number):
+    """Let the first job end, and no other within any patience."""
+    if number:
+        time.sleep(10 * PATIENCE_S)
+    return number
+
+
 def refuse(number):
     if number == 1:
         raise RecordingError(f'flight {number}: cut')
@@ -87,15 +110,6 @@ def die(number):
     if number == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return number
-
-
-def die_once(task):
-    """Do a job; the first who does the marked one is killed in the midst of it."""
-    job, marker = task
-    if marker is not None and not marker.exists():
-        marker.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return run_job(job)
 
 
 class TestProcesses:
@@ -141,13 +155,12 @@ class TestProcesses:
             spread(refuse, [0], 0)
 
 
-@pytest.fixture(scope='module')
-def cluster(tmp_path_factory):
-    """Start a scheduler and three workers, each a process; yield the address."""
-    folder = tmp_path_factory.mktemp('cluster')
+@contextmanager
+def started(folder, n_workers, **environment):
+    """Start a scheduler and workers, each a process; yield the address and the scheduler."""
     file = folder / 'scheduler.json'
     here = Path(__file__).parent
-    env = {**os.environ, **ONE_THREAD, 'PYTHONPATH': os.pathsep.join(
+    env = {**os.environ, **ONE_THREAD, **environment, 'PYTHONPATH': os.pathsep.join(
         [str(here), str(here.parent), *filter(None, [os.environ.get('PYTHONPATH')])])}
 
     def start(tool, *arguments):
@@ -158,12 +171,20 @@ def cluster(tmp_path_factory):
 
     processes = [start('dask_scheduler', '--host', '127.0.0.1', '--port', '0')]
     try:
-        processes += [start('dask_worker', '--nthreads', '1', '--no-nanny') for _ in range(3)]
-        yield address_in(file)
+        processes += [
+            start('dask_worker', '--nthreads', '1', '--no-nanny') for _ in range(n_workers)]
+        yield address_in(file), processes[0]
     finally:
         for process in processes:
             process.kill()
             process.wait(PATIENCE_S)
+
+
+@pytest.fixture(scope='module')
+def cluster(tmp_path_factory):
+    """Start three workers; yield the address of their scheduler."""
+    with started(tmp_path_factory.mktemp('cluster'), 3) as (address, _):
+        yield address
 
 
 def address_in(file):
@@ -179,13 +200,30 @@ class TestCluster:
     def test_gives_what_one_process_gives_though_a_worker_is_killed_half_way(
             self, cluster, alone, tmp_path):
         marker = tmp_path / 'killed'
-        tasks = [(job, marker if number == 4 else None) for number, job in enumerate(jobs())]
-        assert content(spread(die_once, tasks, scheduler=cluster)) == alone
+        deadly = jobs()
+        flight = deadly[4].flight
+        deadly[4] = replace(deadly[4], flight=DeadlyFlight(
+            flight.name, flight.path, seed=flight.seed, marker=marker))
+        assert content(spread(run_job, deadly, scheduler=cluster)) == alone
         assert marker.exists()
 
     def test_an_error_is_the_same_as_here(self, cluster):
         with pytest.raises(RecordingError, match='flight 1: cut'):
             list(spread(refuse, range(3), scheduler=cluster))
+
+    def test_a_job_that_kills_its_worker_is_told(self, tmp_path):
+        with (started(tmp_path, 1, DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES='0')
+              as (address, _), pytest.raises(DlscQbsError, match=(
+                  f'--scheduler {address}: worker after worker died of one job'))):
+            list(spread(die, [1], scheduler=address))
+
+    def test_a_scheduler_that_is_lost_is_told(self, tmp_path):
+        with started(tmp_path, 1) as (address, scheduler):
+            results = spread(first_then_wait, [0, 1], scheduler=address)
+            assert next(results) == 0
+            scheduler.kill()
+            with pytest.raises(DlscQbsError, match=f'{address}: the scheduler was lost'):
+                next(results)
 
     def test_an_address_where_nobody_answers_is_told(self, monkeypatch):
         monkeypatch.setattr('dlsc_qbs_ros.cli.spread.CONNECT_S', 1.0)

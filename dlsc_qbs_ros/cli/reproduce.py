@@ -10,6 +10,7 @@ import json
 from pathlib import Path
 import platform
 import sys
+from tempfile import TemporaryDirectory
 import time
 from typing import Any, Sequence
 
@@ -62,7 +63,7 @@ def _reproduce(args: argparse.Namespace) -> None:
     new_figure(args.out / 'report.html', (1.0, 1.0))  # fails now rather than after all the work
     flights = flights_named(args.flights or _simulated(args, args.seeds), args)
     facts = _facts(args, flights)
-    left_out = _train(args, networks, facts) if 'latentslam' not in networks else {}
+    left_out = {} if 'latentslam' in networks else _train(args, flights, networks, facts)
     methods, same = _distinct(config, networks, left_out)
     jobs = [Job(flight, method.name, config, (None, TUNE) if method.grid else (None,),
                 networks.get(method.name), args.jobs == 1 and args.scheduler is None)
@@ -93,17 +94,26 @@ def _simulated(args: argparse.Namespace, seeds: Sequence[int]) -> list[Path]:
 
 
 def _simulate(argv: list[str]) -> None:
-    if simulate.main(argv):
-        raise RecordingError(f'{argv[-1]}: could not be made')
+    *options, path = argv
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # A flight is there once it is whole.
+    with TemporaryDirectory(dir=path.parent) as folder:
+        if simulate.main([*options, str(Path(folder) / path.name)]):
+            raise RecordingError(f'{path}: could not be made')
+        (Path(folder) / path.name).rename(path)
 
 
-def _train(args: argparse.Namespace, networks: dict[str, Path], facts: dict[str, Any]
-           ) -> dict[str, str]:
+def _train(args: argparse.Namespace, evaluated: Sequence[Flight], networks: dict[str, Path],
+           facts: dict[str, Any]) -> dict[str, str]:
     """Train LatentSLAM on flights that are not evaluated; return why it is left out, if it is."""
     missing = [name for name in ('torch', 'onnx') if find_spec(name) is None]
     if missing:
         return {'latentslam': f'training it takes the extra [train]: no {", ".join(missing)}'}
     flights = args.training or _simulated(args, [max(args.seeds) + 1])
+    for flight in {flight.path.resolve() for flight in evaluated} & {*map(Path.resolve, flights)}:
+        raise DlscQbsError(f'{flight}: expected LatentSLAM to be trained on flights other than '
+                           'those evaluated, found it among both (--training)')
     model = args.out / 'latentslam.onnx'
     if train_latentslam.main([*map(str, flights), '--out', str(model)]):
         raise DlscQbsError('LatentSLAM could not be trained')

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib import import_module
@@ -109,5 +109,11 @@ def _over_cluster(work: Callable[[Any], Any], jobs: Sequence[Any], scheduler: st
                            ) from error
     with client:
         # What a worker that dies was doing, or had done, others do again.
-        for future in client.map(_alone, [work] * len(jobs), jobs, pure=False):
-            yield future.result()
+        try:
+            for future in client.map(_alone, [work] * len(jobs), jobs, pure=False):
+                yield future.result()
+        except distributed.KilledWorker as error:
+            raise DlscQbsError(f'--scheduler {scheduler}: worker after worker died of one job, '
+                               'perhaps of a lack of memory') from error
+        except CancelledError as error:
+            raise DlscQbsError(f'--scheduler {scheduler}: the scheduler was lost') from error
