@@ -66,7 +66,8 @@ class Pipeline:
         return RunResult(
             np.arange(N, dtype=np.int64)[self.usable] * SECOND_NS, poses, poses[:, :2],
             poses, poses, poses, np.arange(len(poses)),
-            np.zeros((0, 2), np.int64), np.array([[0, 9]]), COUNTS, 0.1)
+            np.zeros((0, 2), np.int64), np.array([[0, 9]]), np.zeros((1, 3)),
+            COUNTS, 0.1)
 
 
 @pytest.fixture

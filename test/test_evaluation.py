@@ -47,7 +47,8 @@ def result_of(poses, final_poses=None, odometry=None, closures=()):
         sigmas=np.ones((n, 2)), final_poses=final,
         odometry=odometry, experiences=final, births=np.arange(n),
         links=np.column_stack([np.arange(n - 1), np.arange(1, n)]),
-        closures=np.array(closures, dtype=np.int64).reshape(-1, 2), counts=COUNTS, seconds=1.5)
+        closures=np.array(closures, dtype=np.int64).reshape(-1, 2),
+        closure_motions=np.zeros((len(closures), 3)), counts=COUNTS, seconds=1.5)
 
 
 def truth_of(points):

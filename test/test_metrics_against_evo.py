@@ -131,7 +131,8 @@ def test_a_run_gets_from_stamps_to_ate_as_in_evo():
     result = RunResult(
         stamps_ns=Example.stamps_ns, poses=better, sigmas=better[:, :2], final_poses=better,
         odometry=Example.poses, experiences=better, births=np.arange(len(better)),
-        links=np.zeros((0, 2), int), closures=np.zeros((0, 2), int), counts={}, seconds=1.0)
+        links=np.zeros((0, 2), int), closures=np.zeros((0, 2), int),
+        closure_motions=np.zeros((0, 3)), counts={}, seconds=1.0)
     ours = evaluate_run(result, Example.truth)
     assert ours.frames == len(Example.stamps_ns)
     for ate_m, poses in ((ours.ate_rmse_m, better), (ours.odometry_ate_rmse_m, Example.poses)):

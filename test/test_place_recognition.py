@@ -190,36 +190,44 @@ class TestOracle:
         assert silent.tolist() == [0.0, 0.0, 0.0, 0.0]
 
 
+def mapped(closures, motions):
+    """Return what is left of a flight of 40 codes, an experience each, with these closures."""
+    poses = np.array([sample.pose for sample in truth_of()])
+    return RunResult(
+        np.arange(40, dtype=np.int64) * SECOND_NS, poses, np.ones((40, 2)), poses, poses, poses,
+        np.arange(40), np.zeros((0, 2), np.int64), np.array(closures, np.int64).reshape(-1, 2),
+        np.array(motions, float).reshape(-1, 3), {}, 0.0)
+
+
 class TestFalseClosures:
     """A closure is judged by where its two experiences truly were to each other."""
 
-    def count(self, shift_m=0.0, turn_rad=0.0, truth=None):
-        return false_closures(self.result(shift_m, turn_rad),
+    def count(self, *motion, truth=None):
+        """Join two places to what they truly are, twice, by such a motion."""
+        return false_closures(mapped([(3, 23), (5, 25)], [motion, motion]),
                               truth_of() if truth is None else truth)
 
-    def result(self, shift_m=0.0, turn_rad=0.0):
-        """Return a map of two passes, the second one shifted by two closures."""
-        n = 40
-        true = np.array([sample.pose for sample in truth_of()])
-        poses = true + np.arange(n)[:, None] * [0.0, 1e-3, 0.0]
-        poses[20:, 0] += shift_m
-        poses[20:, 2] += turn_rad
-        return RunResult(
-            np.arange(n, dtype=np.int64) * SECOND_NS, poses, np.ones((n, 2)), poses, poses, poses,
-            np.arange(n),
-            np.zeros((0, 2), np.int64), np.array([[3, 23], [5, 25]]), {}, 0.0)
+    @pytest.mark.parametrize('motion', [
+        (0.0, 0.0, 0.0), (0.9, 0.0, 0.0), (0.0, -0.9, 0.0), (0.0, 0.0, 2 * np.pi - 0.4)])
+    def test_leaves_what_is_near_enough(self, motion):
+        assert self.count(*motion) == 0
 
-    def test_of_a_true_map_is_none(self):
-        assert self.count() == 0
+    @pytest.mark.parametrize('motion', [
+        (1.1, 0.0, 0.0), (0.0, -3.0, 0.0), (0.8, 0.8, 0.0), (0.0, 0.0, 0.6)])
+    def test_counts_what_the_map_may_have_outvoted(self, motion):
+        assert self.count(*motion) == 2
 
-    @pytest.mark.parametrize('change', [{'shift_m': 1.1}, {'shift_m': -3.0}, {'turn_rad': 0.6}])
-    def test_counts_those_that_bend_the_map(self, change):
-        assert self.count(**change) == 2
-
-    @pytest.mark.parametrize('change', [{'shift_m': 0.9}, {'turn_rad': 2 * np.pi - 0.4}])
-    def test_leaves_what_is_near_enough(self, change):
-        assert self.count(**change) == 0
+    def test_the_motion_is_in_the_frame_of_the_first(self):
+        truth = truth_of()
+        truth[3:5] = (GroundTruthSample(k * SECOND_NS, Pose2(5.0, 2.0 * k, np.pi / 2))
+                      for k in (3, 4))
+        assert false_closures(mapped([(3, 4), (4, 3)], [(2.0, 0.0, 0.0), (-2.0, 0.0, 0.0)]),
+                              truth) == 0
+        assert false_closures(mapped([(3, 4)], [(0.0, 2.0, 0.0)]), truth) == 1
 
     def test_nothing_can_be_told_without_ground_truth(self):
         assert self.count(truth=[]) is None
-        assert self.count(truth=truth_of()[:10], shift_m=3.0) == 0
+        assert self.count(3.0, 0.0, 0.0, truth=truth_of()[:10]) == 0
+
+    def test_a_map_without_a_closure_has_no_false_one(self):
+        assert false_closures(mapped([], []), truth_of()) == 0

@@ -43,7 +43,8 @@ def row_of(flight, encoder, error_m, tuned=False):
     result = RunResult(
         np.arange(N, dtype=np.int64) * SECOND_NS, poses, poses[:, :2], poses, poses, poses,
         np.arange(N),
-        np.zeros((0, 2), np.int64), np.array([[0, 9]]), COUNTS, 0.1)
+        np.zeros((0, 2), np.int64), np.array([[0, 9]]), np.zeros((1, 3)),
+        COUNTS, 0.1)
     threshold = 0.8 if METHODS[encoder].grid else None
     return Run(Row(flight, encoder, evaluate_run(result, truth), threshold, tuned, 0, N, COUNTS,
                    {}, 0.03, 0.06), result)

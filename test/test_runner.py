@@ -7,6 +7,7 @@ from loop_flight import CONFIG, events, frames, LAP_S, odometry, pose_at, START_
 import numpy as np
 import pytest
 
+from dlsc_qbs_ros.core.geometry import between_rows
 from dlsc_qbs_ros.core.types import Code, Dictionary, Frame, OdometrySample, View
 from dlsc_qbs_ros.pipeline.encoder import DescriptorEncoder
 from dlsc_qbs_ros.pipeline.runner import encode, map_codes, run
@@ -74,6 +75,12 @@ def test_arrays_have_the_shapes_that_are_promised():
     assert 0 <= result.links.min() and result.links.max() == m - 1
     assert result.counts['closures'] == len(result.closures)
     assert (np.diff(result.stamps_ns) > 0).all()
+
+
+def test_what_closures_tell_is_how_the_map_lies():
+    result = flown()
+    first, second = result.experiences[result.closures.T]
+    np.testing.assert_allclose(result.closure_motions, between_rows(first, second), atol=0.1)
 
 
 def test_every_frame_and_sample_is_accounted_for():

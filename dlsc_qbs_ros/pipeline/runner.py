@@ -44,6 +44,8 @@ class RunResult:
         Indices of the experiences that each link joins.
     closures : ndarray of shape (c, 2), int64
         Indices of the experiences joined by loop closures.
+    closure_motions : ndarray of shape (c, 3)
+        The second in the frame of the first, as each closure has it.
     counts : dict
         frames, view_cells, experiences, closures, learning_frames, epochs and what was refused.
     seconds : float
@@ -60,6 +62,7 @@ class RunResult:
     births: np.ndarray
     links: np.ndarray
     closures: np.ndarray
+    closure_motions: np.ndarray
     counts: dict[str, int]
     seconds: float
 
@@ -131,7 +134,8 @@ def map_codes(flight: EncodedFlight, config: Config, measure: Measure | None = N
 def _result(ratslam: RatSlam, track: list[tuple], flight: EncodedFlight, seconds: float
             ) -> RunResult:
     mapper = ratslam.mapper
-    closures = mapper.map.links[mapper.map.is_closure]
+    closures, motions = (rows[mapper.map.is_closure]
+                         for rows in (mapper.map.links, mapper.map.motions))
     counts = {**ratslam.counts, **flight.counts,
               'view_cells': len(mapper.view_cells),
               'experiences': len(mapper.map), 'closures': len(closures),
@@ -146,7 +150,8 @@ def _result(ratslam: RatSlam, track: list[tuple], flight: EncodedFlight, seconds
         experiences=mapper.map.poses.copy(),
         births=np.unique([place.experience for _, _, place, _ in track], return_index=True)[1],
         links=mapper.map.links.copy(),
-        closures=closures, counts=counts, seconds=flight.seconds + seconds)
+        closures=closures, closure_motions=motions, counts=counts,
+        seconds=flight.seconds + seconds)
 
 
 def _rows(rows: Iterable, width: int) -> np.ndarray:
