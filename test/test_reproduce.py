@@ -206,6 +206,10 @@ class TestRows:
         assert trained == [str(out / 'flights' / f'flight{kind}_seed6') for kind in '123']
         assert {job.network for job in tools.jobs if job.method == 'latentslam'} == {
             out / 'latentslam.onnx'}
+        facts = document_of(out)['facts']
+        assert facts['LatentSLAM trained on'] == ', '.join(
+            f'flight{kind}_seed6' for kind in '123')
+        assert 'PyTorch' in facts
         assert {job.flight.name for job in tools.jobs}.isdisjoint(
             {f'flight{kind}_seed6' for kind in '123'})
 

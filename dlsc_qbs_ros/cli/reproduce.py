@@ -119,6 +119,7 @@ def _train(args: argparse.Namespace, evaluated: Sequence[Flight], networks: dict
         raise DlscQbsError('LatentSLAM could not be trained')
     networks['latentslam'] = model
     facts['LatentSLAM trained on'] = ', '.join(flight.name for flight in flights)
+    facts['PyTorch'] = _version('torch')
     return {}
 
 
@@ -155,15 +156,18 @@ def _renamed(outcome: Outcome, name: str) -> Outcome:
 
 def _facts(args: argparse.Namespace, flights: Sequence[Flight]) -> dict[str, Any]:
     """Return what it takes to make the same again."""
-    try:
-        package = version('dlsc_qbs_ros')
-    except PackageNotFoundError:
-        package = 'not installed'
     return {
         'command': args.command, 'flights': ', '.join(flight.name for flight in flights),
         'seeds of the flights': 'given flights' if args.flights else list(args.seeds),
-        'dlsc_qbs_ros': package, 'Python': platform.python_version(), 'NumPy': np.__version__,
-        'OpenCV': cv2.__version__, 'machine': platform.platform()}
+        'dlsc_qbs_ros': _version('dlsc_qbs_ros'), 'Python': platform.python_version(),
+        'NumPy': np.__version__, 'OpenCV': cv2.__version__, 'machine': platform.platform()}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return 'not installed'
 
 
 def _write(out: Path, report: Report) -> None:
