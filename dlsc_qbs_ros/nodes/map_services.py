@@ -174,6 +174,8 @@ class MapServices:
         return self._ratslam.activity
 
     def _reset(self) -> str:
+        if not self._ratslam.mapper.is_mapping:
+            raise MapError('the map stays as it is: ~/set_localization_mode false comes first')
         self._ratslam.reset()
         return 'the map is empty'
 

@@ -360,6 +360,11 @@ def test_what_cannot_be_done_is_refused_in_words_and_the_map_goes_on(
     _, paused = drone.values()
     assert paused['experiences'] == before['experiences']
     assert drone.call('resume').message == 'mapping'
+    assert drone.call('set_localization_mode', data=True).success
+    refused = drone.call('reset')
+    assert not refused.success and 'the map stays as it is' in refused.message
+    assert drone.values()[1]['experiences'] == before['experiences']
+    assert drone.call('set_localization_mode', data=False).success
     assert drone.call('reset').success
     assert drone.values()[1]['experiences'] == '0'
     assert drone.process.stop() == 0
