@@ -289,6 +289,9 @@ class TestReport:
         assert facts['NumPy'] == np.__version__
         assert facts['seeds of the flights'] == [0]
         assert facts['command'].startswith('reproduce --set encoder.seed=3')
+        told = Page((out / 'report.html').read_text()).text
+        assert {*map(str, facts), *Config().flat()} <= {*told}
+        assert facts['NumPy'] in told
 
     def test_it_holds_ours_at_one_mu_against_the_others_tuned(self, out):
         document = document_of(out)
@@ -305,6 +308,14 @@ class TestReport:
         assert [row['encoder'] for row in document['timing']] == 3 * WITHOUT_NETWORKS
         assert {row['place_recognition']['r99'] for row in document['rows']
                 if row['encoder'] != 'odometry'} == {0.4}
+
+    def test_the_page_tells_the_cost_as_means_over_flights(self, out):
+        told = Page((out / 'report.html').read_text()).text
+        cost = told[told.index('encode [ms]'):told.index('Every run')]
+        timing = document_of(out)['timing'][0]
+        encode_ms, map_ms = timing['encode_ms_per_frame'], timing['map_ms_per_code']
+        assert cost.count(f'{encode_ms:.2f}') == cost.count(f'{encode_ms + map_ms:.2f}') == len(
+            WITHOUT_NETWORKS), 'the stand-ins cost the same on each flight'
 
 
 class TestPaperTable:
