@@ -100,8 +100,8 @@ class VisualGyro:
                 self._failures, self._known = 0, self.error.state()
             elif told is not None:
                 self._failures += 1
-            if self._failures == self.MOST_FAILURES:
-                self.error.restore(self._known)
+                if self._failures == self.MOST_FAILURES:
+                    self.error.restore(self._known)
         return self._failures < self.MOST_FAILURES
 
     def yaw_noise(self) -> float:
