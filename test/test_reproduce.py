@@ -155,6 +155,11 @@ class TestFlights:
         assert reproduce.main(['--out', str(tmp_path / 'out')]) == 0
         assert len(tools.simulated) == 1 + 3
 
+    def test_where_they_cannot_be_written_is_told(self, tools, tmp_path, capsys):
+        (tmp_path / 'flights').touch()
+        assert reproduce.main(['--out', str(tmp_path)]) == 1
+        assert f'--out {tmp_path / "flights"}: cannot be written' in capsys.readouterr().err
+
     def test_given_ones_are_taken_instead(self, tools, tmp_path):
         (tmp_path / 'walk.mcap').touch()
         assert reproduce.main(['--flights', str(tmp_path / 'walk.mcap'), '--odom-topic', '/o',

@@ -95,8 +95,7 @@ def environment(_):
 
 def first_then_wait(number):
     """Let the first job end, and no other within any patience."""
-    if number:
-        time.sleep(10 * PATIENCE_S)
+    wait_for(lambda: number == 0)
     return number
 
 

@@ -83,25 +83,26 @@ def _reproduce(args: argparse.Namespace) -> None:
 
 def _simulated(args: argparse.Namespace, seeds: Sequence[int]) -> list[Path]:
     """Return the flights of some seeds, made where they are not there yet."""
-    paths = {args.out / 'flights' / f'flight{kind}_seed{seed}': (kind, seed)
-             for seed in seeds for kind in KINDS}
-    missing = [['--flight', str(kind), '--seed', str(seed), '--encoding', 'mono8', '--out',
-                str(path)] for path, (kind, seed) in paths.items() if not path.exists()]
+    flights = [(kind, seed, args.out / 'flights' / f'flight{kind}_seed{seed}')
+               for seed in seeds for kind in KINDS]
+    missing = [flight for flight in flights if not flight[2].exists()]
     for _ in tqdm(spread(_simulate, missing, args.jobs), 'simulate', len(missing),
                   unit=' flights', leave=False, disable=None):
         pass
-    return list(paths)
+    return [path for _, _, path in flights]
 
 
-def _simulate(argv: list[str]) -> None:
-    *options, path = argv
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # A flight is there once it is whole.
-    with TemporaryDirectory(dir=path.parent) as folder:
-        if simulate.main([*options, str(Path(folder) / path.name)]):
-            raise RecordingError(f'{path}: could not be made')
-        (Path(folder) / path.name).rename(path)
+def _simulate(flight: tuple[int, int, Path]) -> None:
+    """Make a flight of a kind and a seed, which is there once it is whole."""
+    kind, seed, path = flight
+    with writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=path.parent) as folder:
+            draft = Path(folder) / path.name
+            if simulate.main(['--flight', str(kind), '--seed', str(seed), '--encoding', 'mono8',
+                              '--out', str(draft)]):
+                raise RecordingError(f'{path}: could not be made')
+            draft.rename(path)
 
 
 def _train(args: argparse.Namespace, evaluated: Sequence[Flight], networks: dict[str, Path],
@@ -111,9 +112,10 @@ def _train(args: argparse.Namespace, evaluated: Sequence[Flight], networks: dict
     if missing:
         return {'latentslam': f'training it takes the extra [train]: no {", ".join(missing)}'}
     flights = args.training or _simulated(args, [max(args.seeds) + 1])
-    for flight in {flight.path.resolve() for flight in evaluated} & {*map(Path.resolve, flights)}:
-        raise DlscQbsError(f'{flight}: expected LatentSLAM to be trained on flights other than '
-                           'those evaluated, found it among both (--training)')
+    shared = {flight.path.resolve() for flight in evaluated} & {*map(Path.resolve, flights)}
+    if shared:
+        raise DlscQbsError(f'{min(shared)}: expected LatentSLAM to be trained on flights other '
+                           'than those evaluated, found it among both (--training)')
     model = args.out / 'latentslam.onnx'
     if train_latentslam.main([*map(str, flights), '--out', str(model)]):
         raise DlscQbsError('LatentSLAM could not be trained')
