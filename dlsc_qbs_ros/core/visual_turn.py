@@ -104,8 +104,7 @@ def shift_between(before: np.ndarray, after: np.ndarray, motion_m: tuple[float, 
     if abs(guess) > LARGEST_TURN * before.shape[1]:
         return None
     grid = _grid(*before.shape)
-    early, late = (_shifted(view, by, grid)
-                   for view, by in ((before, -0.5 * guess), (after, 0.5 * guess)))
+    early, late = _halfway(before, after, guess, grid)
     mean = 0.5 * (early + late)
     i_x = 0.5 * (mean[1:-1, 2:] - mean[1:-1, :-2]).ravel()[grid.order]
     i_y = 0.5 * (mean[2:, 1:-1] - mean[:-2, 1:-1]).ravel()[grid.order]
@@ -153,8 +152,8 @@ def turns_along(before: np.ndarray, after: np.ndarray, shift_px: float) -> bool 
 
     def alike(px: float) -> float:
         # Only what is left without the mean of each row moves when the camera turns.
-        early, late = (part - part.mean(axis=1, keepdims=True) for part in (
-            _shifted(before, -0.5 * px, grid), _shifted(after, 0.5 * px, grid)))
+        early, late = (view - view.mean(axis=1, keepdims=True)
+                       for view in _halfway(before, after, px, grid))
         size = float(np.vdot(early, early)) * float(np.vdot(late, late))
         return float(np.vdot(early, late)) / sqrt(size) if size else 0.0
 
@@ -198,6 +197,12 @@ def _grid(rows: int, columns: int) -> _Grid:
     _, first, block = np.unique(name[order], return_index=True, return_inverse=True)
     return _Grid(np.arange(kept[0] - 1, kept[-1] + 2), order, (x - middle_x).ravel()[order],
                  (y - middle_y).ravel()[order], block, first)
+
+
+def _halfway(before: np.ndarray, after: np.ndarray, shift_px: float, grid: _Grid
+             ) -> tuple[np.ndarray, np.ndarray]:
+    """Return what is looked at of two views as from half-way of a turn that shifts so far."""
+    return _shifted(before, -0.5 * shift_px, grid), _shifted(after, 0.5 * shift_px, grid)
 
 
 def _shifted(view: np.ndarray, by_px: float, grid: _Grid) -> np.ndarray:

@@ -7,8 +7,8 @@ from typing import Sequence
 import numpy as np
 
 from .association import associate
-from .place_recognition import MAX_DISTANCE_M, MAX_TURN_RAD
-from ..core.geometry import between_rows, wrap_angle
+from .place_recognition import is_same
+from ..core.geometry import between_rows
 from ..core.types import GroundTruthSample
 
 
@@ -32,7 +32,6 @@ def false_closures(result, ground_truth: Sequence[GroundTruthSample]) -> int | N
     if not np.isfinite(truth).any():
         return None
     first, second = truth[result.closures.T]
-    true, told = between_rows(first, second), result.closure_motions
-    return int(np.count_nonzero(
-        (np.hypot(*(told - true)[:, :2].T) > MAX_DISTANCE_M)
-        | (np.abs(wrap_angle(told[:, 2] - true[:, 2])) > MAX_TURN_RAD)))
+    true = between_rows(first, second)
+    is_known = np.isfinite(true).all(axis=1)
+    return int(np.count_nonzero(is_known & ~is_same(result.closure_motions, true)))

@@ -99,11 +99,11 @@ def recognise(events: Iterable, ground_truth: Sequence[GroundTruthSample], book:
         codes = [Code(code.stamp_ns, row, name) for code, row in zip(codes, values)]
     matches, scores = _matches(views, codes, dictionaries, book, encode)
     n_old = _n_old(_stamps_ns(codes))
-    has_revisit = np.array([_is_same(poses[:n], pose).any() for n, pose in zip(n_old, poses)])
+    has_revisit = np.array([is_same(poses[:n], pose).any() for n, pose in zip(n_old, poses)])
     used = n_old > 0
     if not has_revisit.any():
         return None
-    right = np.array([_is_same(poses[match:match + 1], pose).all()
+    right = np.array([is_same(poses[match:match + 1], pose).all()
                       for match, pose in zip(matches, poses)])
     return _recognition(scores[used], (right & has_revisit)[used], int(has_revisit.sum()),
                         len(views))
@@ -156,9 +156,9 @@ def _matches(views: list[View], codes: list[Code], dictionaries: dict[int, Dicti
     return matches, scores
 
 
-def _is_same(poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Whether each of n poses (n, 3) is of the same place and heading as one; NaN is not."""
-    apart = poses - pose
+def is_same(poses: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Whether n poses (n, 3) are of the place and heading of one, or each its own; NaN is not."""
+    apart = poses - others
     return ((np.hypot(apart[:, 0], apart[:, 1]) <= MAX_DISTANCE_M)
             & (np.abs(wrap_angle(apart[:, 2])) <= MAX_TURN_RAD))
 

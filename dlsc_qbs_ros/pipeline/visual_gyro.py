@@ -77,24 +77,25 @@ class VisualGyro:
         climb = odometry.z_m - last.z_m
         is_near = (0.0 < seconds_in_motion(motion, seconds) <= self.LONGEST_S
                    and max(map(abs, (motion.x_m, motion.y_m, climb))) <= self.LONGEST_M)
-        if before is None or self._view is None or not is_near or not self._sees_a_scene():
+        if before is None or self._view is None or not is_near:
             return
         nominal_px = self.NOMINAL_FOCAL * before.shape[1]
+        focal_px = nominal_px / self.error.scale
+        if not self._sees_a_scene(focal_px):
+            return
         told = shift_between(
-            before, self._view, (motion.x_m, motion.y_m, climb), motion.yaw_rad,
-            nominal_px / self.error.scale)
+            before, self._view, (motion.x_m, motion.y_m, climb), motion.yaw_rad, focal_px)
         if told is not None:
             shift_px, sigma_px = told
             self.error.update(
                 motion.yaw_rad, shift_px / nominal_px, sigma_px / nominal_px, seconds)
 
-    def _sees_a_scene(self) -> bool:
+    def _sees_a_scene(self, focal_px: float) -> bool:
         """Return whether what is seen turns along with odometry; forget what was told if not."""
         view, odometry = self._proof = self._proof or (self._view, self._odometry)
         turn_rad = wrap_angle(self._odometry.pose.yaw_rad - odometry.pose.yaw_rad)
         if abs(turn_rad) > self.PROOF_RAD:
             self._proof = self._view, self._odometry
-            focal_px = self.NOMINAL_FOCAL * view.shape[1] / self.error.scale
             told = turns_along(view, self._view, focal_px * turn_rad)
             if told:
                 self._failures, self._known = 0, self.error.state()
